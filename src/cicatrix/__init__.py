@@ -1,0 +1,3 @@
+"""cicatrix: predict how soft tissue heals after surgery."""
+
+__version__ = "0.1.0"

@@ -1,0 +1,1 @@
+"""One file per verb, in the order of the road."""

@@ -1,0 +1,1 @@
+"""Numbers with meaning and no physics."""

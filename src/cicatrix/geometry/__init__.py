@@ -1,0 +1,1 @@
+"""Where: volumes, lattices, meshes and the transfer between them."""

@@ -1,0 +1,53 @@
+"""A regular grid of voxels in patient space (LPS: x to the patient's left, y posterior, z superior) [mm]."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.ndimage import map_coordinates
+
+
+@dataclass(frozen=True)
+class Volume:
+    """Voxels on an axis-aligned LPS grid.
+
+    Parameters
+    ----------
+    values : (nz, ny, nx) or (n_channels, nz, ny, nx) array
+        Voxel values, unit by use.
+    spacing_mm : (3,) tuple of float
+        Voxel edge along x, y, z [mm].
+    origin_mm : (3,) tuple of float
+        Centre of voxel ``[0, 0, 0]`` along x, y, z, LPS [mm].
+    """
+
+    values: np.ndarray
+    spacing_mm: tuple[float, float, float]
+    origin_mm: tuple[float, float, float]
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Number of voxels along z, y, x."""
+        nz, ny, nx = self.values.shape[-3:]
+        return nz, ny, nx
+
+    def with_values(self, values: np.ndarray) -> Volume:
+        """Return other values on the same grid."""
+        return Volume(values, self.spacing_mm, self.origin_mm)
+
+    def voxel(self, points_mm: np.ndarray) -> np.ndarray:
+        """Fractional voxel indices: points (..., 3) x, y, z [mm] -> (..., 3) z, y, x [1]."""
+        index = (np.asarray(points_mm, float) - self.origin_mm) / self.spacing_mm
+        return index[..., ::-1]
+
+    def position(self, index_zyx: np.ndarray) -> np.ndarray:
+        """Physical positions: indices (..., 3) z, y, x -> (..., 3) x, y, z [mm]."""
+        return np.asarray(index_zyx, float)[..., ::-1] * self.spacing_mm + self.origin_mm
+
+    def sample(self, points_mm: np.ndarray, order: int = 1) -> np.ndarray:
+        """Interpolate: points (..., 3) [mm] -> (...) or (n_channels, ...); outside the grid the nearest voxel counts."""
+        coordinates = np.moveaxis(self.voxel(points_mm), -1, 0)
+        channels = self.values if self.values.ndim == 4 else self.values[None]
+        out = np.stack([map_coordinates(c, coordinates, order=order, mode="nearest", output=float) for c in channels])
+        return out if self.values.ndim == 4 else out[0]

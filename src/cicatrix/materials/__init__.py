@@ -1,0 +1,1 @@
+"""Stress at a point, one law per file."""

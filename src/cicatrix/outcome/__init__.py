@@ -1,0 +1,1 @@
+"""What the surgeon asks."""

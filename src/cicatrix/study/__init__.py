@@ -1,0 +1,1 @@
+"""One run: case, build, results."""
