@@ -1,0 +1,48 @@
+"""What every constitutive or rate law shares: named, range-checked, differentiable parameters."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from .errors import InputError
+
+
+def param(unit: str, symbol: str, *, low: float = -np.inf, high: float = np.inf, default: Any = dataclasses.MISSING) -> Any:
+    """Declare a parameter of a law: its unit, symbol and closed range.
+
+    The value is a number or an array of one number per point.
+    """
+    metadata = {"unit": unit, "symbol": symbol, "low": low, "high": high}
+    return eqx.field(metadata=metadata) if default is dataclasses.MISSING else eqx.field(metadata=metadata, default=default)
+
+
+class Law(eqx.Module):
+    """A frozen, differentiable record of parameters; refuses values outside their range.
+
+    Raises
+    ------
+    InputError
+        If a parameter is NaN or outside the range that its ``param`` names.
+    """
+
+    def __check_init__(self):
+        for field in dataclasses.fields(self):
+            if "symbol" in field.metadata:
+                _check_range(type(self).__name__, field, getattr(self, field.name))
+
+
+def _check_range(law: str, field: dataclasses.Field, value: Any) -> None:
+    if isinstance(value, jax.core.Tracer) or not isinstance(value, (int, float, np.ndarray, jax.Array)):
+        return  # inside a transformation: checked when the law was made
+    low, high = field.metadata["low"], field.metadata["high"]
+    smallest, largest = np.min(value), np.max(value)
+    if not (low <= smallest and largest <= high):
+        raise InputError(
+            f"{law}.{field.name} ({field.metadata['symbol']}) must lie in [{low:g}, {high:g}] {field.metadata['unit']}; "
+            f"got {smallest:g} .. {largest:g}."
+        )

@@ -1,0 +1,157 @@
+"""Newton's method with a line search, and load stepping that adapts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from .errors import ConvergenceError
+
+
+@dataclass
+class NewtonReport:
+    """What a nonlinear solve did; ``history`` has one line per attempt, for the reader."""
+
+    iterations: int = 0
+    load_steps: int = 0
+    history: list[str] = field(default_factory=list)
+
+
+Residual = Callable[[np.ndarray], np.ndarray]
+Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
+
+
+def newton(
+    residual: Residual, step: Step, x: np.ndarray, *, tolerance: float, report: NewtonReport, max_iterations: int = 25
+) -> np.ndarray:
+    """Solve residual(x) = 0.
+
+    Parameters
+    ----------
+    residual : callable
+        x (n,) -> r (n,).
+    step : callable
+        (x, r) -> Newton increment (n,), solving K(x) dx = -r.
+    tolerance : float
+        Absolute bound on the Euclidean norm of r.
+
+    Raises
+    ------
+    ConvergenceError
+        With the residual norms, when the iterations run out or the line search finds no descent.
+    """
+    r = residual(x)
+    norms = [float(np.linalg.norm(r))]
+    while not norms[-1] <= tolerance:
+        if len(norms) > max_iterations or not np.isfinite(norms[-1]):
+            raise _failure(norms, "no convergence")
+        try:
+            dx = step(x, r)
+        except FloatingPointError as error:
+            raise _failure(norms, f"singular tangent ({error})") from error
+        x, r = _line_search(residual, x, r, dx, norms)
+        report.iterations += 1
+        norms.append(float(np.linalg.norm(r)))
+    return x
+
+
+def _line_search(residual: Residual, x: np.ndarray, r: np.ndarray, dx: np.ndarray, norms: list[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Halve the step until the residual, or its work on the step, comes down."""
+    norm, work = norms[-1], abs(dx @ r)
+    for halvings in range(8):
+        trial = x + 0.5**halvings * dx
+        r_trial = residual(trial)
+        if np.isfinite(r_trial).all() and (np.linalg.norm(r_trial) < norm or abs(dx @ r_trial) < 0.5 * work):
+            return trial, r_trial
+    raise _failure(norms, "the line search found no descent")
+
+
+def _failure(norms: list[float], why: str) -> ConvergenceError:
+    trace = " ".join(f"{n:.2e}" for n in norms[:2] + norms[2:][-6:])
+    return ConvergenceError(f"Newton stopped: {why}.", [f"{why}; residual norms [mN]: {trace}"])
+
+
+def minimise(
+    energy: Callable[[np.ndarray], float],
+    residual: Residual,
+    step: Callable[[np.ndarray, np.ndarray, float], np.ndarray],
+    x: np.ndarray,
+    *,
+    tolerance: float,
+    report: NewtonReport,
+    damping: float = 1.0,
+    max_iterations: int = 400,
+) -> np.ndarray:
+    """Walk downhill in ``energy`` to a stationary point, residual = d energy / dx = 0.
+
+    Damped Newton (Levenberg 1944): slower than ``newton``, but it passes limit points and bifurcations, where it slides to
+    a stable solution. ``step(x, r, damping)`` solves (K + damping M) dx = -r.
+
+    Raises
+    ------
+    ConvergenceError
+        When the iterations run out.
+    """
+    E, r = energy(x), residual(x)
+    norms = [float(np.linalg.norm(r))]
+    for _ in range(max_iterations):
+        if norms[-1] <= tolerance:
+            return x
+        trial, E_trial = _downhill(energy, step, x, r, E, damping)
+        if trial is None:
+            damping = max(4.0 * damping, 1e-6)
+            if damping > 1e12:
+                break
+            continue
+        x, E, r = trial, E_trial, residual(trial)
+        report.iterations += 1
+        norms.append(float(np.linalg.norm(r)))
+        damping *= 0.1 if norms[-1] < 0.5 * norms[-2] else 0.4
+    raise _failure(norms, "damped Newton ran out of iterations")
+
+
+def _downhill(energy, step, x: np.ndarray, r: np.ndarray, E: float, damping: float) -> tuple[np.ndarray | None, float]:
+    """One damped step, or None when it does not lead downhill (within the rounding of the energy)."""
+    try:
+        dx = step(x, r, damping)
+    except FloatingPointError:
+        return None, E
+    if not (np.isfinite(dx).all() and dx @ r < 0.0):
+        return None, E
+    trial = x + dx
+    E_trial = energy(trial)
+    return (trial, E_trial) if E_trial <= E + 1e-4 * (dx @ r) + 1e-13 * abs(E) else (None, E)
+
+
+def ramp(advance: Callable[[np.ndarray, float], np.ndarray], x: np.ndarray, report: NewtonReport, first: float = 1.0) -> np.ndarray:
+    """Walk a load factor from 0 to 1 in adaptive steps.
+
+    ``advance(x, factor)`` returns the solution at that factor or raises ConvergenceError; a failed step is halved, a
+    step that succeeds lets the next one double.
+
+    Raises
+    ------
+    ConvergenceError
+        When the step has become smaller than 1/512, with all that was tried.
+    """
+    reached, size = 0.0, first
+    while reached < 1.0:
+        target = min(1.0, reached + size)
+        try:
+            x = advance(x, target)
+        except ConvergenceError as error:
+            report.history.append(f"load factor {reached:.4g} -> {target:.4g}: {error.history[-1]}")
+            size *= 0.5
+            if size < 1.0 / 512.0:
+                raise ConvergenceError(
+                    f"No equilibrium found beyond load factor {reached:.4g}: try stiffer tissue, a finer mesh or a smaller "
+                    "gravity.",
+                    report.history,
+                ) from error
+            continue
+        report.load_steps += 1
+        report.history.append(f"load factor {reached:.4g} -> {target:.4g}: converged")
+        reached, size = target, 2.0 * size
+    return x

@@ -1,0 +1,41 @@
+"""Tissue whose stress-free state is not the reference configuration."""
+
+from __future__ import annotations
+
+from jax import Array
+
+from ..core.tensors import det, inv
+from .material import EnergyMaterial, State
+
+
+class NaturalConfiguration(EnergyMaterial):
+    r"""Any law, measured from its own natural (stress-free) configuration.
+
+    .. math:: F_e = F F_n^{-1}, \qquad \Psi(F) = \det F_n \, \Psi_{law}(F_e)
+
+    Tissue laid down at a deformation F(tau) with deposition stretch G is stress-free at F_n = G^-1 F(tau):
+    Guo, Mofrad & Buganza Tepole, Eq. (11) with the inverse that its print lost; growth (their Eqs 12-15) is the
+    same split with F_n = F_g.
+
+    Parameters
+    ----------
+    law : EnergyMaterial
+        The law per volume of its natural configuration.
+    F_n : (..., 3, 3) array [1]
+        Reference -> natural configuration.
+    """
+
+    law: EnergyMaterial
+    F_n: Array
+
+    def energy(self, F: Array, state: State = ()) -> Array:
+        """Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
+        return det(self.F_n) * self.law.energy(F @ inv(self.F_n), state)
+
+    def initial_state(self, shape: tuple[int, ...]) -> State:
+        """The law's own history."""
+        return self.law.initial_state(shape)
+
+    def advance(self, F: Array, state: State, dt: float) -> State:
+        """Advance the law at its elastic deformation."""
+        return self.law.advance(F @ inv(self.F_n), state, dt)

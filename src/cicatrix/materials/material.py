@@ -1,0 +1,76 @@
+"""What a material is: stress, tangent and history at one point, derived from an energy."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple, Protocol
+
+import jax
+import jax.numpy as jnp
+from jax import Array
+
+from ..core.law import Law
+
+State = Any  # a pytree of arrays with leading shape (...); () for a law without history
+
+
+class Response(NamedTuple):
+    """Answer of a material at points."""
+
+    P: Array
+    """First Piola-Kirchhoff stress (..., 3, 3) [kPa]."""
+    A: Array
+    """Consistent tangent dP/dF (..., 3, 3, 3, 3) [kPa]."""
+    state: State
+    """History at the end of the step; never the input mutated."""
+
+
+class Material(Protocol):
+    """Law, composition or surrogate: mechanics cannot tell and need not."""
+
+    def initial_state(self, shape: tuple[int, ...]) -> State:
+        """History of virgin material at points of the given shape."""
+        ...
+
+    def advance(self, F: Array, state: State, dt: float) -> State:
+        """History after a step dt [s] that ends at F."""
+        ...
+
+    def stress(self, F: Array, state: State) -> Array:
+        """P at points: F (..., 3, 3) [1] -> (..., 3, 3) [kPa]."""
+        ...
+
+    def response(self, F: Array, state: State, dt: float) -> Response:
+        """Stress, consistent tangent and new history."""
+        ...
+
+
+class EnergyMaterial(Law):
+    """A hyperelastic law: write ``energy`` (and ``advance``, if history matters), get the rest."""
+
+    def energy(self, F: Array, state: State = ()) -> Array:
+        """Strain energy per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
+        raise NotImplementedError
+
+    def initial_state(self, shape: tuple[int, ...]) -> State:
+        """No history unless the law says otherwise."""
+        return ()
+
+    def advance(self, F: Array, state: State, dt: float) -> State:
+        """No history unless the law says otherwise."""
+        return state
+
+    def stress(self, F: Array, state: State = ()) -> Array:
+        """P = dPsi/dF at points: F (..., 3, 3) [1] -> (..., 3, 3) [kPa]."""
+        return jax.grad(lambda G: jnp.sum(self.energy(G, state)))(F)
+
+    def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
+        """Stress, tangent dP/dF and new history; points are independent, so nine directional derivatives give A."""
+
+        def stress(G: Array) -> Array:
+            return self.stress(G, self.advance(G, state, dt))
+
+        directions = jnp.eye(9).reshape(9, 3, 3)
+        P, along = jax.linearize(stress, F)
+        columns = jax.vmap(lambda d: along(jnp.broadcast_to(d, F.shape)))(directions)
+        A = jnp.moveaxis(columns, 0, -1).reshape(*F.shape, 3, 3)
+        return Response(P, A, self.advance(F, state, dt))

@@ -1,0 +1,42 @@
+"""Neo-Hookean law of breast tissue."""
+
+from __future__ import annotations
+
+from jax import Array
+
+from ..core.law import param
+from ..core.tensors import det, first_invariant
+from .material import EnergyMaterial, State
+
+
+class NeoHookean(EnergyMaterial):
+    r"""Nearly incompressible neo-Hookean energy used for breast tissue.
+
+    .. math:: \Psi = \frac{\mu}{2} (\bar I_1 - 3) + \frac{\kappa}{2} (J - 1)^2, \qquad \bar I_1 = J^{-2/3} \, \mathrm{tr}\, F^T F
+
+    Source: Garbey et al., Multi-scale modeling and computational surgery, Eq. (1).
+
+    Parameters
+    ----------
+    mu : float or (...) array [kPa]
+        Initial shear modulus.
+    kappa : float or (...) array [kPa]
+        Bulk modulus.
+    """
+
+    mu: float | Array = param("kPa", "mu", low=0.0)
+    kappa: float | Array = param("kPa", "kappa", low=0.0)
+
+    def energy(self, F: Array, state: State = ()) -> Array:
+        """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
+        J = det(F)
+        I1_bar = J ** (-2.0 / 3.0) * first_invariant(F)
+        return 0.5 * self.mu * (I1_bar - 3.0) + 0.5 * self.kappa * (J - 1.0) ** 2
+
+
+def moduli_from_young(E, nu):
+    """Shear and bulk modulus of the linear limit: mu = E / (2 (1 + nu)), kappa = E / (3 (1 - 2 nu)).
+
+    Source: Garbey et al., Eq. (2). E [kPa] and nu [1] broadcast; returns (mu, kappa) [kPa].
+    """
+    return E / (2.0 * (1.0 + nu)), E / (3.0 * (1.0 - 2.0 * nu))

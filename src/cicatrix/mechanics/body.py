@@ -1,0 +1,214 @@
+"""A body: a space, what fills it, its skin, what holds it, and the forces of all that."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ..materials.material import EnergyMaterial
+from .elements import Bulk, Membrane, bulk_energy, bulk_force, bulk_tangent, membrane_energy, membrane_force, tangent
+from .pattern import Pattern
+from .space import Space
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """What never changes while a body deforms and heals: space, skin edges, fixed nodes, pattern.
+
+    Parameters
+    ----------
+    space : Space
+        Nodes and elements.
+    skin_facets : (n_edges,) int array
+        Mesh edges that carry the skin membrane.
+    fixed_nodes : (n,) int array
+        Nodes held at their place (chest wall).
+    """
+
+    space: Space
+    skin_facets: np.ndarray
+    fixed_nodes: np.ndarray
+
+    @cached_property
+    def skin_nodes(self) -> np.ndarray:
+        """Nodes of the skin edges (n_edges, 3)."""
+        return self.space.edge_nodes(self.skin_facets)
+
+    @cached_property
+    def blocks(self) -> list[np.ndarray]:
+        """Degrees of freedom (3 node + component) of triangles (n, 21) and skin edges (n, 9)."""
+        return [_dofs(self.space.element_nodes), _dofs(self.skin_nodes)]
+
+    @cached_property
+    def _solved(self) -> dict[bool, tuple[np.ndarray, Pattern]]:
+        return {}
+
+    def solved(self, in_plane: bool) -> tuple[np.ndarray, Pattern]:
+        """Free degrees of freedom and their pattern; ``in_plane`` leaves out the shift along the normal."""
+        if in_plane not in self._solved:
+            free = np.ones((self.space.n_nodes, 3), bool)
+            free[self.fixed_nodes] = False
+            free[:, 2] &= not in_plane
+            dofs = np.flatnonzero(free)
+            self._solved[in_plane] = dofs, Pattern(self.blocks, dofs, free.size)
+        return self._solved[in_plane]
+
+    def scatter(self, forces: list[Array]) -> np.ndarray:
+        """Sum element forces [(n, a, 3), ...] -> (n_nodes, 3)."""
+        dofs = np.concatenate([b.ravel() for b in self.blocks])
+        values = np.concatenate([np.asarray(f).ravel() for f in forces])
+        return np.bincount(dofs, weights=values, minlength=3 * self.space.n_nodes).reshape(-1, 3)
+
+
+def _dofs(nodes: np.ndarray) -> np.ndarray:
+    return (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), -1)
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """Tissue on a frame.
+
+    Parameters
+    ----------
+    frame : Frame
+        Space, skin edges, fixed nodes.
+    law : EnergyMaterial
+        Constitutive law; parameters are numbers or (n_elements, n_qp) arrays.
+    density : (n_elements, n_qp) array [kg/mm^3]
+        Mass per reference volume.
+    fraction : (n_elements,) array [1]
+        Share of each element that is tissue; an element at 0 is out of the mechanics altogether.
+    skin : EnergyMaterial
+        Law of the skin membrane.
+    skin_thickness : (n_edges,) array [mm]
+        0 where there is no skin.
+    """
+
+    frame: Frame
+    law: EnergyMaterial
+    density: np.ndarray
+    fraction: np.ndarray
+    skin: EnergyMaterial
+    skin_thickness: np.ndarray
+
+    def with_tissue(self, law: EnergyMaterial, density: np.ndarray, fraction: np.ndarray) -> Body:
+        """The same frame and skin, other tissue; refuses nothing and compiles nothing."""
+        return replace(self, law=law, density=density, fraction=fraction)
+
+    @property
+    def _bulk(self) -> Bulk:
+        return Bulk(self.law, jnp.asarray(self.density), jnp.asarray(self.fraction))
+
+    @property
+    def _membrane(self) -> Membrane:
+        return Membrane(self.skin, jnp.asarray(self.skin_thickness))
+
+    @cached_property
+    def active_nodes(self) -> np.ndarray:
+        """Nodes that some tissue holds (n_nodes,) bool."""
+        active = np.zeros(self.frame.space.n_nodes, bool)
+        active[self.frame.space.element_nodes[self.fraction > 0.0]] = True
+        return active
+
+    def residual(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray) -> np.ndarray:
+        """Internal minus external force per depth: X, x (n_nodes, 3) [mm], gravity (3,) [mm/s^2] -> (n_nodes, 3) [mN/mm]."""
+        cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
+        return self.frame.scatter(_forces(self._tables, X[cells], x[cells], X[edges], x[edges], self._bulk, self._membrane, gravity))
+
+    def tangent(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, *, by: str, in_plane: bool):
+        """Derivative of the residual ``by`` "x" (current) or "X" (reference positions), on the free dofs (csr)."""
+        cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
+        matrices = _tangents(self._tables, by, X[cells], x[cells], X[edges], x[edges], self._bulk, self._membrane, gravity)
+        free, pattern = self.frame.solved(in_plane)
+        idle = ~np.repeat(self.active_nodes, 3)[free]
+        return pattern.assemble([np.asarray(m) for m in matrices], idle)
+
+    def energy_density(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Strain energy per reference volume of tissue at quadrature points -> (n_elements, n_qp) [kPa]; 0 where open."""
+        cells = self.frame.space.element_nodes
+        W = _energies(self._tables, X[cells], x[cells], self._bulk)
+        return np.where(self.fraction[:, None] > 0.0, np.asarray(W), 0.0)
+
+    def strain_energy(self, X: np.ndarray, x: np.ndarray) -> float:
+        """Strain energy of tissue and skin per depth [uJ/mm = mN]."""
+        bulk = np.sum(self.energy_density(X, x) * self.volumes(X) * self.fraction[:, None])
+        edges = self.frame.skin_nodes
+        return float(bulk + np.sum(_skin_energies(self._tables, X[edges], x[edges], self._membrane)))
+
+    def potential(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray) -> float:
+        """Strain energy minus the work of gravity from X to x, per depth [mN]: what a stable equilibrium minimises."""
+        moved = np.einsum("qa,eai->eqi", self.frame.space.table.value, (x - X)[self.frame.space.element_nodes])
+        mass = self.density * self.volumes(X) * self.fraction[:, None]
+        return self.strain_energy(X, x) - float(np.einsum("eq,eqi,i->", mass, moved, gravity))
+
+    def lumped_mass(self, X: np.ndarray) -> np.ndarray:
+        """Mass per depth at the nodes, row sums of |N_a| (n_nodes,) [kg/mm]: positive, a scale and no more."""
+        mass = self.density * self.volumes(X) * self.fraction[:, None]
+        shares = np.einsum("eq,qa->ea", mass, np.abs(self.frame.space.table.value))
+        nodes = self.frame.space.element_nodes
+        return np.bincount(nodes.ravel(), weights=shares.ravel(), minlength=self.frame.space.n_nodes)
+
+    def volumes(self, X: np.ndarray) -> np.ndarray:
+        """Area of the section at quadrature points: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^2]."""
+        return section_areas(self.frame.space, X)
+
+    @property
+    def _tables(self) -> _Tables:
+        return _Tables(self.frame.space)
+
+
+class _Tables:
+    """Static argument of the compiled functions: equal for equal spaces."""
+
+    def __init__(self, space: Space) -> None:
+        self.bulk, self.edge, self._order = space.table, space.edge_table, space.quadrature_order
+
+    def __hash__(self) -> int:
+        return hash(self._order)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Tables) and other._order == self._order
+
+
+def section_areas(space: Space, X: np.ndarray) -> np.ndarray:
+    """Area belonging to each quadrature point: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^2]."""
+    slopes = np.einsum("eai,qab->eqib", X[space.element_nodes][..., :2], space.table.gradient)
+    return space.table.weight * np.abs(np.linalg.det(slopes))
+
+
+@partial(jax.jit, static_argnums=0)
+def _forces(tables, X_cells, x_cells, X_edges, x_edges, bulk, membrane, gravity):
+    return [bulk_force(X_cells, x_cells, bulk, gravity, tables.bulk), membrane_force(X_edges, x_edges, membrane, tables.edge)]
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _tangents(tables, by, X_cells, x_cells, X_edges, x_edges, bulk, membrane, gravity):
+    if by == "x":
+        return [
+            bulk_tangent(X_cells, x_cells, bulk, tables.bulk),
+            tangent(lambda y: membrane_force(X_edges, y, membrane, tables.edge), x_edges),
+        ]
+    return [
+        tangent(lambda Y: bulk_force(Y, x_cells, bulk, gravity, tables.bulk), X_cells),
+        tangent(lambda Y: membrane_force(Y, x_edges, membrane, tables.edge), X_edges),
+    ]
+
+
+@partial(jax.jit, static_argnums=0)
+def _energies(tables, X_cells, x_cells, bulk):
+    return bulk_energy(X_cells, x_cells, bulk, tables.bulk)
+
+
+@partial(jax.jit, static_argnums=0)
+def _skin_energies(tables, X_edges, x_edges, membrane):
+    return membrane_energy(X_edges, x_edges, membrane, tables.edge)
+
+
+def compiled_variants() -> int:
+    """How many variants of the kernels have been compiled in this process; a healing cycle must not raise it."""
+    return sum(f._cache_size() for f in (_forces, _tangents, _energies, _skin_energies))

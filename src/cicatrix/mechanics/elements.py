@@ -1,0 +1,197 @@
+"""Batched element forces; their tangents are derivatives of the same functions, never written twice.
+
+A section is one slice of a body that is uniform along its normal: positions are x(s, t) + z e3 with three components
+each, so deformation gradients are 3 x 3 and gravity may have a component along the normal (antiplane shear). With no
+such component this is plane strain.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ..core.tensors import cofactor, det, inv
+from ..materials.material import EnergyMaterial
+from .space import Table
+
+NORMAL = np.array([0.0, 0.0, 1.0])
+
+
+class Bulk(NamedTuple):
+    """What fills the elements; leaves broadcast against (n_elements, n_qp)."""
+
+    law: EnergyMaterial
+    density: Array
+    """Mass per reference volume (n_elements, n_qp) [kg/mm^3]."""
+    fraction: Array
+    """Share of each element that is tissue (n_elements,) [1]."""
+
+
+class Membrane(NamedTuple):
+    """Skin: an incompressible membrane along boundary edges."""
+
+    law: EnergyMaterial
+    thickness: Array
+    """Reference thickness (n_edges,) [mm]."""
+
+
+def local_map(x: Array, gradient: np.ndarray) -> Array:
+    """Derivative of position by the local axes and the normal: x (n, n_shape, 3) -> (n, n_qp, 3, 3) [mm]."""
+    columns = jnp.einsum("eai,qab->eqib", x, gradient)
+    normal = jnp.broadcast_to(NORMAL, columns.shape[:2] + (3,))
+    return jnp.concatenate([columns, normal[..., None]], axis=-1)
+
+
+def deformation_gradient(X: Array, x: Array, gradient: np.ndarray) -> Array:
+    """F = dx/dX at quadrature points: X, x (n, n_shape, 3) [mm] -> (n, n_qp, 3, 3) [1]."""
+    return local_map(x, gradient) @ inv(local_map(X, gradient))
+
+
+def linear_projection(points: np.ndarray, weights: Array) -> Array:
+    """L2 projection on linear functions of each element, quadrature points to quadrature points.
+
+    points (n_qp, 2) local coordinates, weights (n, n_qp) -> (n, n_qp, n_qp).
+    """
+    basis = np.column_stack([np.ones(len(points)), points - 1.0 / 3.0])
+    mass = jnp.einsum("eq,qi,qj->eij", weights, basis, basis)
+    return jnp.einsum("qi,eij,rj,er->eqr", basis, inv(mass), basis, weights)
+
+
+def dilated(F: Array, J_bar: Array) -> Array:
+    """F with its volume ratio replaced: (J_bar / J)^(1/3) F, (..., 3, 3) -> (..., 3, 3) [1]."""
+    return jnp.cbrt(J_bar / det(F))[..., None, None] * F
+
+
+def projected(X: Array, x: Array, table: Table) -> tuple[Array, Array, Array, Array]:
+    """F, its element-wise linear volume ratio J_bar, the projection, and weights [mm^2] at quadrature points.
+
+    The pressure then lives in the discontinuous linear space, which with the bubble is stable and of full order however
+    incompressible the tissue (Crouzeix & Raviart 1973).
+    """
+    X_map = local_map(X, table.gradient)
+    weights = table.weight * jnp.abs(det(X_map))  # the mesh library orients triangles either way
+    F = local_map(x, table.gradient) @ inv(X_map)
+    projection = linear_projection(table.points, weights)
+    return F, jnp.einsum("eqr,er->eq", projection, det(F)), projection, weights
+
+
+def bulk_energy(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
+    """Strain energy per reference volume at quadrature points: X, x (n, 7, 3) [mm] -> (n, n_qp) [kPa]."""
+    F, J_bar, _, _ = projected(X, x, table)
+    return bulk.law.energy(dilated(F, J_bar))
+
+
+def point_stress(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array) -> tuple[Array, Array]:
+    r"""Stress that does the work on F, and mean stress conjugate to J_bar: (..., 3, 3), (...), (...) [1, 1, kPa].
+
+    With :math:`\bar F = (\bar J / J)^{1/3} F` and :math:`\bar P = P(\bar F)` the virtual work of the element is
+    :math:`\int (s \bar P - t F^{-T} + \pi\, \mathrm{cof} F) : \delta F`, :math:`s = (\bar J/J)^{1/3}`,
+    :math:`t = \bar P : \bar F / 3`, :math:`\pi` (``pressure``) the projection of the mean stress :math:`t / \bar J`.
+    """
+    J = det(F)
+    F_bar = dilated(F, J_bar)
+    P_bar = law.stress(F_bar)
+    t = jnp.sum(P_bar * F_bar, axis=(-2, -1)) / 3.0
+    P = jnp.cbrt(J_bar / J)[..., None, None] * P_bar + (pressure - t / J)[..., None, None] * cofactor(F)
+    return P, t / J_bar
+
+
+def slopes(X: Array, table: Table) -> Array:
+    """Gradients of the shape functions in the reference configuration: X (n, a, 3) [mm] -> (n, n_qp, a, 3) [1/mm]."""
+    inverse = inv(local_map(X, table.gradient))[..., : table.gradient.shape[-1], :]
+    return jnp.einsum("qab,eqbJ->eqaJ", table.gradient, inverse)
+
+
+def bulk_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
+    """Internal minus gravity forces per depth on the nodes: X, x (n, 7, 3) [mm] -> (n, 7, 3) [mN/mm]."""
+    F, J_bar, projection, weights = projected(X, x, table)
+    _, mean_stress = point_stress(bulk.law, F, J_bar, jnp.zeros_like(J_bar))
+    P, _ = point_stress(bulk.law, F, J_bar, jnp.einsum("eqr,er->eq", projection, mean_stress))
+    weights = weights * bulk.fraction[:, None]
+    internal = jnp.einsum("eq,eqiJ,eqaJ->eai", weights, P, slopes(X, table))
+    mass = weights * bulk.density
+    return internal - jnp.einsum("eq,qa->ea", mass, table.value)[..., None] * gravity
+
+
+def bulk_tangent(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
+    """Derivative of ``bulk_force`` by x, contracted by hand: (n, 7, 3) [mm] -> (n, 21, 21) [mN/mm^2].
+
+    ``tangent(bulk_force)`` is its slow twin.
+    """
+    F, J_bar, projection, weights = projected(X, x, table)
+    _, mean_stress = point_stress(bulk.law, F, J_bar, jnp.zeros_like(J_bar))
+    pressure = jnp.einsum("eqr,er->eq", projection, mean_stress)
+    by_F, by_J = _point_derivatives(bulk.law, F, J_bar, pressure)
+    weights = (weights * bulk.fraction[:, None])[..., None]
+    B = slopes(X, table)
+    n, n_qp, a, _ = B.shape
+    dJ = jnp.einsum("eqr,erbi->eqbi", projection, jnp.einsum("eriJ,erbJ->erbi", cofactor(F), B)).reshape(n, n_qp, 3 * a)
+    strain = jnp.einsum("eqaJ,ik->eqiJak", B, jnp.eye(3)).reshape(n, n_qp * 9, 3 * a)
+    A = (weights[..., None] * by_F[0].reshape(n, n_qp, 9, 9)) @ strain.reshape(n, n_qp, 9, 3 * a)
+    forward = jnp.einsum("eqaJ,eqiJ->eqai", B, by_J[0]).reshape(n, n_qp, 3 * a)
+    backward = jnp.einsum("eqaJ,eqiJ->eqai", B, by_F[1]).reshape(n, n_qp, 3 * a)
+    K = jnp.swapaxes(strain, 1, 2) @ A.reshape(n, n_qp * 9, 3 * a)
+    K += jnp.swapaxes(weights * forward, 1, 2) @ dJ
+    return K + jnp.swapaxes(weights * dJ, 1, 2) @ (backward + by_J[1][..., None] * dJ)
+
+
+def _point_derivatives(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array):
+    """Derivatives of ``point_stress`` by F: (A (..., 3, 3, 3, 3), b (..., 3, 3)), and by J_bar: ((..., 3, 3), (...))."""
+
+    _, along = jax.linearize(lambda G, j: point_stress(law, G, j, pressure), F, J_bar)
+    directions = jnp.eye(9).reshape(9, 3, 3)
+    A, b = jax.vmap(lambda d: along(jnp.broadcast_to(d, F.shape), jnp.zeros_like(J_bar)))(directions)
+    by_F = jnp.moveaxis(A, 0, -1).reshape(*F.shape, 3, 3), jnp.moveaxis(b, 0, -1).reshape(F.shape)
+    return by_F, along(jnp.zeros_like(F), jnp.ones_like(J_bar))
+
+
+def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
+    """Strain energy per depth of each skin edge: X, x (n, 3, 3) [mm] -> (n,) [mN]; its thickness keeps the volume.
+
+    Skin is thin: where it would be compressed it wrinkles and carries nothing along that direction. The energy is the
+    relaxed one of tension-field theory (Pipkin 1986), without which wrinkles would form at the size of the mesh.
+    """
+    X_s = jnp.einsum("eai,qa->eqi", X, table.gradient[..., 0])
+    x_s = jnp.einsum("eai,qa->eqi", x, table.gradient[..., 0])
+    length = jnp.sqrt(X_s[..., 0] ** 2 + X_s[..., 1] ** 2)
+    stretch = jnp.sqrt(x_s[..., 0] ** 2 + x_s[..., 1] ** 2) / length
+    shear = (x_s[..., 2] - X_s[..., 2]) / length
+    W = _relaxed_energy(membrane.law, stretch, shear)
+    return membrane.thickness * jnp.sum(table.weight * length * W, axis=-1)
+
+
+def _relaxed_energy(law: EnergyMaterial, stretch: Array, shear: Array) -> Array:
+    """Tension-field energy of an isotropic incompressible film stretched along its edge and sheared along the normal."""
+    zero, one = jnp.zeros_like(stretch), jnp.ones_like(stretch)
+    taut = _matrix([[stretch, zero, zero], [zero, 1.0 / stretch, zero], [shear, zero, one]])
+    trace, determinant = stretch**2 + shear**2 + 1.0, stretch**2
+    gap = jnp.sqrt(jnp.maximum(trace**2 - 4.0 * determinant, 0.0) + 1e-12)
+    largest = jnp.sqrt(0.5 * (trace + gap))
+    width = 1.0 / jnp.sqrt(largest)
+    wrinkled = _matrix([[largest, zero, zero], [zero, width, zero], [zero, zero, width]])
+    is_taut = determinant * (1.0 + 1e-5) >= largest
+    return jnp.where(is_taut, law.energy(taut), law.energy(wrinkled))
+
+
+def _matrix(rows: list[list[Array]]) -> Array:
+    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def membrane_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
+    """Forces per depth of the skin on the nodes: X, x (n, 3, 3) [mm] -> (n, 3, 3) [mN/mm]."""
+    return jax.grad(lambda y: jnp.sum(membrane_energy(X, y, membrane, table)))(x)
+
+
+def tangent(force, x: Array) -> Array:
+    """Derivative of batched element forces by batched node positions: (n, a, 3) -> (n, 3a, 3a) [mN/mm^2].
+
+    Elements are independent, so one directional derivative per node component serves the whole batch.
+    """
+    n, a, c = x.shape
+    directions = jnp.eye(a * c).reshape(a * c, a, c)
+    columns = jax.vmap(lambda d: jax.jvp(force, (x,), (jnp.broadcast_to(d, x.shape),))[1])(directions)
+    return jnp.moveaxis(columns.reshape(a * c, n, a * c), 0, -1)

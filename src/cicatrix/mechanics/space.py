@@ -1,0 +1,100 @@
+"""Finite-element space of a plane section: P2 triangles with a cubic bubble, three displacement components."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import skfem
+from skfem.quadrature import get_quadrature
+
+
+@dataclass(frozen=True)
+class Table:
+    """Shape functions of a reference element at its quadrature points."""
+
+    value: np.ndarray
+    """(n_qp, n_shape) [1]"""
+    gradient: np.ndarray
+    """(n_qp, n_shape, n_local_axes) [1]"""
+    weight: np.ndarray
+    """(n_qp,) [1]"""
+    points: np.ndarray
+    """(n_qp, n_local_axes) local coordinates [1]"""
+
+
+def tabulate(element: skfem.Element, local: np.ndarray, weight: np.ndarray) -> Table:
+    """Evaluate the element's shape functions at local points (n_local_axes, n_qp)."""
+    n_shape = len(element.doflocs)
+    both = [element.lbasis(local, i) for i in range(n_shape)]
+    value = np.stack([np.broadcast_to(v, weight.shape) for v, _ in both], axis=-1)
+    gradient = np.stack([np.broadcast_to(g, (local.shape[0], weight.size)).T for _, g in both], axis=1)
+    return Table(value, gradient, weight, local.T)
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """Nodes, elements and shape functions on a straight-sided triangle mesh.
+
+    Nodes are coefficients: vertices, then edge midpoints, then one bubble per triangle (hierarchical: 0 where the
+    geometry is straight). Positions and displacements are (n_nodes, 3) arrays over the same nodes; the third
+    component is the shift out of the plane, so that gravity may point anywhere.
+
+    Parameters
+    ----------
+    mesh : skfem.MeshTri
+        Vertices in the section's own axes [mm].
+    quadrature_order : int
+        Polynomial degree the rule in each triangle is exact for.
+    """
+
+    mesh: skfem.MeshTri
+    quadrature_order: int = 5
+
+    @cached_property
+    def _dofs(self) -> skfem.Dofs:
+        return skfem.Dofs(self.mesh, skfem.ElementTriP2B())
+
+    @cached_property
+    def element_nodes(self) -> np.ndarray:
+        """Nodes of each triangle (n_elements, 7): vertices, edges (01, 12, 02), bubble."""
+        return np.ascontiguousarray(self._dofs.element_dofs.T)
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of coefficient nodes."""
+        return self._dofs.N
+
+    @property
+    def n_elements(self) -> int:
+        """Number of triangles."""
+        return self.mesh.nelements
+
+    @cached_property
+    def table(self) -> Table:
+        """Shape functions of the triangle at its quadrature points."""
+        return tabulate(skfem.ElementTriP2B(), *get_quadrature(skfem.MeshTri.elem, self.quadrature_order))
+
+    @cached_property
+    def edge_table(self) -> Table:
+        """Shape functions of a boundary edge (vertex, vertex, midpoint) at its quadrature points."""
+        return tabulate(skfem.ElementLineP2(), *get_quadrature(skfem.MeshLine.elem, self.quadrature_order))
+
+    @cached_property
+    def positions(self) -> np.ndarray:
+        """Coefficients of the identity map (n_nodes, 3) [mm]."""
+        out = np.zeros((self.n_nodes, 3))
+        out[self._dofs.nodal_dofs[0], :2] = self.mesh.p.T
+        out[self._dofs.facet_dofs[0], :2] = self.mesh.p[:, self.mesh.facets].mean(axis=1).T
+        return out
+
+    def edge_nodes(self, facets: np.ndarray) -> np.ndarray:
+        """Nodes of mesh edges: facet numbers (n,) -> (n, 3) vertex, vertex, midpoint."""
+        ends = self._dofs.nodal_dofs[0][self.mesh.facets[:, facets]]
+        return np.column_stack([ends.T, self._dofs.facet_dofs[0][facets]])
+
+    @cached_property
+    def bubbles(self) -> np.ndarray:
+        """Bubble node of each triangle (n_elements,)."""
+        return self._dofs.interior_dofs[0]
