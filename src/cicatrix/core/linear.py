@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import weakref
 from typing import Protocol
 
 import numpy as np
@@ -63,6 +64,7 @@ class Pardiso:
         self._symmetric = symmetric
         self._solver = pypardiso.PyPardisoSolver(mtype=-2 if symmetric else 11)
         self._upper: tuple | None = None
+        weakref.finalize(self, self._solver.free_memory, everything=True)
 
     def factor(self, matrix: sp.csr_array) -> None:
         """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
@@ -90,10 +92,6 @@ class Pardiso:
             self._upper = keep, matrix.indices[keep], indptr
         keep, indices, indptr = self._upper
         return sp.csr_matrix((matrix.data[keep], indices, indptr), shape=matrix.shape)
-
-    def __del__(self) -> None:
-        if getattr(self, "_analysed", False):
-            self._solver.free_memory(everything=True)
 
 
 def linear_solver(symmetric: bool) -> LinearSolver:

@@ -8,6 +8,7 @@ from functools import cached_property, partial
 import jax
 import jax.numpy as jnp
 import numpy as np
+import scipy.sparse as sp
 from jax import Array
 
 from ..materials.material import EnergyMaterial
@@ -120,13 +121,21 @@ class Body:
         cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
         return self.frame.scatter(_forces(self._tables, X[cells], x[cells], X[edges], x[edges], self._bulk, self._membrane, gravity))
 
-    def tangent(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, *, by: str, in_plane: bool):
-        """Derivative of the residual ``by`` "x" (current) or "X" (reference positions), on the free dofs (csr)."""
+    def tangent(
+        self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, *, by: str, in_plane: bool, damping: float = 0.0
+    ) -> sp.csr_array:
+        """Derivative of the residual ``by`` "x" (current) or "X" (reference positions), on the free dofs.
+
+        Rows of nodes that no tissue holds are those of the identity; ``damping`` times the nodal mass [kg/mm] is added
+        to the diagonal.
+        """
         cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
         matrices = _tangents(self._tables, by, X[cells], x[cells], X[edges], x[edges], self._bulk, self._membrane, gravity)
         free, pattern = self.frame.solved(in_plane)
-        idle = ~np.repeat(self.active_nodes, 3)[free]
-        return pattern.assemble([np.asarray(m) for m in matrices], idle)
+        diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
+        if damping:
+            diagonal += damping * np.repeat(self.lumped_mass(X), 3)[free]
+        return pattern.assemble([np.asarray(m) for m in matrices], diagonal)
 
     def energy_density(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Strain energy per reference volume of tissue at quadrature points -> (n_elements, n_qp) [kPa]; 0 where open."""

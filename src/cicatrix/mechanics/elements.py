@@ -81,8 +81,13 @@ def projected(X: Array, x: Array, table: Table) -> tuple[Array, Array, Array, Ar
 
 def bulk_energy(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
     """Strain energy per reference volume at quadrature points: X, x (n, 7, 3) [mm] -> (n, n_qp) [kPa]."""
-    F, J_bar, _, _ = projected(X, x, table)
+    F, J_bar, _, _ = projected(X, _tissue_only(X, x, bulk), table)
     return bulk.law.energy(dilated(F, J_bar))
+
+
+def _tissue_only(X: Array, x: Array, bulk: Bulk) -> Array:
+    """Leave open elements undeformed: whatever their nodes do, nothing of it, not even a NaN, reaches the tissue."""
+    return jnp.where(bulk.fraction[:, None, None] > 0.0, x, X)
 
 
 def point_stress(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array) -> tuple[Array, Array]:
@@ -108,6 +113,7 @@ def slopes(X: Array, table: Table) -> Array:
 
 def bulk_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
     """Internal minus gravity forces per depth on the nodes: X, x (n, 7, 3) [mm] -> (n, 7, 3) [mN/mm]."""
+    x = _tissue_only(X, x, bulk)
     F, J_bar, projection, weights = projected(X, x, table)
     _, mean_stress = point_stress(bulk.law, F, J_bar, jnp.zeros_like(J_bar))
     P, _ = point_stress(bulk.law, F, J_bar, jnp.einsum("eqr,er->eq", projection, mean_stress))
@@ -122,6 +128,7 @@ def bulk_tangent(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
 
     ``tangent(bulk_force)`` is its slow twin.
     """
+    x = _tissue_only(X, x, bulk)
     F, J_bar, projection, weights = projected(X, x, table)
     _, mean_stress = point_stress(bulk.law, F, J_bar, jnp.zeros_like(J_bar))
     pressure = jnp.einsum("eqr,er->eq", projection, mean_stress)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError
 from ..core.linear import LinearSolver, linear_solver
@@ -104,14 +103,13 @@ class Equilibrium:
 
         def step(values: np.ndarray, r: np.ndarray, damping: float = 0.0) -> np.ndarray:
             solver = self._linear_solver(unknown, in_plane)
-            matrix = body.tangent(*positions(values), gravity, by=unknown, in_plane=in_plane)
-            solver.factor(matrix + sp.diags_array(damping * mass) if damping else matrix)
+            scaled = damping * np.linalg.norm(full)
+            solver.factor(body.tangent(*positions(values), gravity, by=unknown, in_plane=in_plane, damping=scaled))
             return solver.solve(-r)
 
         tolerance = self.relative_tolerance * _weight(body, X if unknown == "x" else x, full)
         start = (X if unknown == "X" else x).reshape(-1)[free]
         if damped:
-            mass = np.repeat(body.lumped_mass(X), 3)[free] * np.linalg.norm(full)
             energy = lambda values: body.potential(*positions(values), gravity)  # noqa: E731
             values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
         else:

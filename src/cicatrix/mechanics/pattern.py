@@ -35,9 +35,9 @@ class Pattern:
         self._indptr = np.searchsorted(unique, np.arange(free.size + 1) * free.size)
         self._shape = (free.size, free.size)
 
-    def assemble(self, matrices: list[np.ndarray], unit_rows: np.ndarray) -> sp.csr_array:
-        """Sum element matrices [(n, k, k), ...]; ``unit_rows`` (n_free,) bool get 1 on their diagonal."""
+    def assemble(self, matrices: list[np.ndarray], diagonal: np.ndarray) -> sp.csr_array:
+        """Sum element matrices [(n, k, k), ...] and a diagonal (n_free,)."""
         values = np.concatenate([np.asarray(m).ravel() for m in matrices])[self._kept]
         data = np.bincount(self._slots, weights=values, minlength=self._indices.size)
-        data[self._diagonal[unit_rows]] = 1.0
+        data[self._diagonal] += diagonal
         return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
