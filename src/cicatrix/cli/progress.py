@@ -79,5 +79,5 @@ class BarProgress(Progress):
 
 def make_progress(stream: TextIO | None = None) -> PlainProgress | BarProgress:
     """Bars if the stream (stderr) is a terminal, lines if it is not."""
-    stream = sys.stderr if stream is None else stream
-    return BarProgress(Console(file=stream)) if stream.isatty() else PlainProgress(stream)
+    target: TextIO = sys.stderr if stream is None else stream
+    return BarProgress(Console(file=target)) if target.isatty() else PlainProgress(target)
