@@ -77,22 +77,13 @@ def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[st
     InputError
         If a setting has no ``=``, or leads through a key that is no table.
     """
-    tables = json_like(raw)
+    tables = _copy(raw)
     for setting in overrides:
         key, equals, text = setting.partition("=")
         if not equals or not all(part.strip() for part in key.split(".")):
             raise InputError(f"--set {setting}: must read key.path=value, such as run.seed=3")
         _put(tables, [part.strip() for part in key.split(".")], _toml_value(text.strip()), setting)
     return tables
-
-
-def json_like(value: Any) -> Any:
-    """Copy nested tables and lists, so that the copy may be changed."""
-    if isinstance(value, Mapping):
-        return {key: json_like(item) for key, item in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [json_like(item) for item in value]
-    return value
 
 
 def case_table(case: Case) -> dict[str, Any]:
@@ -238,6 +229,15 @@ def _toml_value(text: str) -> Any:
     except tomllib.TOMLDecodeError:
         return text
     return parsed["value"] if len(parsed) == 1 else text
+
+
+def _copy(value: Any) -> Any:
+    """Copy nested tables and lists, so that the copy may be changed."""
+    if isinstance(value, Mapping):
+        return {key: _copy(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_copy(item) for item in value]
+    return value
 
 
 def _put(tables: dict[str, Any], names: list[str], value: Any, setting: str) -> None:

@@ -85,6 +85,13 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     return found
 
 
+def continued(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
+    """Return the manifest of a run that goes on: the old one, running again, with a note if the libraries changed."""
+    changed = [name for name, version in new["libraries"].items() if old["libraries"].get(name) != version]
+    notes = [f"Resumed with other versions of {', '.join(changed)}; bytes may differ."] if changed else []
+    return old | {"status": new["status"], "libraries": new["libraries"], "notes": [*old["notes"], *notes]}
+
+
 def add_seconds(before: Mapping[str, Any], now: Mapping[str, Seconds]) -> dict[str, dict[str, float]]:
     """Seconds per stage over all the sittings of a run: earlier ones and this one."""
     total = {name: dict(spent) for name, spent in before.items()}

@@ -24,7 +24,7 @@ from .checkpoints import Checkpoint
 from .fields import Frame, read_series, write_series, write_vtu
 from .folders import holds_something, lock, make, remove, unlock
 from .history import History, read_history
-from .manifest import MANIFEST, add_seconds, differences, new_manifest, read_manifest
+from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
 from .progress import Progress
 
 PRODUCTS = ("checkpoint", "outcome.json", "history.csv", "fields", "figures")
@@ -155,7 +155,7 @@ class RunFolder:
                 return cls(path, old, progress)
             checkpoint = checkpoints.load_checkpoint(path / "checkpoint")
             if checkpoint is not None:
-                return cls._resumed(path, old | {"status": new["status"]}, progress, checkpoint)
+                return cls._resumed(path, continued(old, new), progress, checkpoint)
         elif old is not None and old["status"]["state"] == "finished":
             raise InputError(f"{path} holds a finished run; give another --out, or --resume to keep it")
         remove(path / PRODUCTS[0])  # the checkpoint goes before the manifest, so it is never taken for the new case's
