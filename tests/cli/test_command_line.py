@@ -11,6 +11,7 @@ import pytest
 
 STAND_IN = Path(__file__).parent / "stand_in.py"
 PHANTOM = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n'
+INTERRUPTED = "cicatrix: interrupted; the last checkpoint is kept, the same command with --resume goes on"
 
 
 @pytest.fixture
@@ -99,8 +100,8 @@ def test_finished_run_is_kept(case, tmp_path):
     [
         ("input", 2, "cicatrix: the image holds no breast", "failed"),
         ("convergence", 3, "cicatrix: Newton stopped at load 0.4; try smaller steps.", "failed"),
-        ("interrupt", 130, "cicatrix: interrupted; the state is kept, the same command with --resume goes on", None),
-        ("terminate", 130, "cicatrix: interrupted; the state is kept, the same command with --resume goes on", None),
+        ("interrupt", 130, INTERRUPTED, None),
+        ("terminate", 130, INTERRUPTED, None),
     ],
 )
 @pytest.mark.skipif(sys.platform == "win32", reason="signals")

@@ -11,6 +11,8 @@ from ..io.runs import simulate
 from .headline import print_headline
 from .progress import make_progress
 
+AFTER_INTERRUPTION = "; the last checkpoint is kept, the same command goes on"
+
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
@@ -19,7 +21,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=Path, default=Path("demo"), help="the run's folder (default: demo)"
     )
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, after_interruption=AFTER_INTERRUPTION)
 
 
 def run(args: argparse.Namespace) -> int:

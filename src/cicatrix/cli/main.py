@@ -58,6 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         0 done, 2 the input is at fault, 3 no convergence or a fault inside, 130 interrupted.
     """
     previous = _listen_to_termination()
+    args = argparse.Namespace()
     try:
         args = build_parser().parse_args(argv)
         return args.run(args)
@@ -66,7 +67,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except CicatrixError as error:
         return _tell(error)
     except KeyboardInterrupt:
-        _say("interrupted; the state is kept, the same command with --resume goes on")
+        _say(f"interrupted{getattr(args, 'after_interruption', '')}")
         return INTERRUPTED
     except BrokenPipeError:  # the reader of a pipe has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

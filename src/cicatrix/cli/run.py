@@ -11,6 +11,8 @@ from .arguments import add_case, add_overrides
 from .headline import print_headline
 from .progress import make_progress
 
+AFTER_INTERRUPTION = "; the last checkpoint is kept, the same command with --resume goes on"
+
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
@@ -21,7 +23,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint in the run's folder")
     add_overrides(parser)
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, after_interruption=AFTER_INTERRUPTION)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -258,8 +258,8 @@ class RunFolder:
 
     def _interruption(self) -> str:
         if self._last_cycle is None:
-            return "Interrupted before the first checkpoint; the same command starts over."
-        return f"Interrupted after cycle {self._last_cycle}; --resume goes on from there."
+            return "Interrupted before the first checkpoint; it starts over."
+        return f"Interrupted after cycle {self._last_cycle}; it can be resumed from there."
 
     def _write_manifest(self) -> None:
         self._manifest["seconds"] = add_seconds(self._earlier_seconds, self._progress.seconds)
