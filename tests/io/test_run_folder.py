@@ -201,3 +201,44 @@ def test_killed_run_is_not_finished_and_resumes(tmp_path, request):
     assert state_of(tmp_path / "killed")["state"] == "running"
     go(open_run(tmp_path / "killed", resume=True))
     assert bytes_of(tmp_path / "killed") == bytes_of(tmp_path / "whole")
+
+
+KILLED_AT_EACH_FLUSH = """
+import os, signal, sys
+sys.path.insert(0, sys.argv[1])
+import test_run_folder as t
+from pathlib import Path
+from cicatrix.io import atomic
+force = atomic._force_to_disk
+for flushes in range(100):
+    count = 0
+    def dying(path):
+        global count
+        count += 1
+        if count > flushes:
+            os.kill(os.getpid(), signal.SIGKILL)
+        force(path)
+    child = os.fork()
+    if child == 0:
+        atomic._force_to_disk = dying
+        t.go(t.open_run(Path(sys.argv[2]) / str(flushes)), last=2)
+        os._exit(0)
+    if os.waitpid(child, 0)[1] == 0:
+        break
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
+def test_killed_at_any_flush(tmp_path, request):
+    """Die before the n-th flush, for every n: never finished too early, and resumed to the same bytes."""
+    go(open_run(tmp_path / "whole"), last=2)
+    whole = bytes_of(tmp_path / "whole")
+    arguments = [sys.executable, "-c", KILLED_AT_EACH_FLUSH, str(request.path.parent), str(tmp_path / "killed")]
+    subprocess.run(arguments, check=True)
+    folders = sorted((tmp_path / "killed").iterdir(), key=lambda folder: int(folder.name))
+    assert 20 < len(folders) < 100
+    for folder in folders:
+        if (folder / "manifest.json").exists() and state_of(folder)["state"] == "finished":
+            assert {name: mark for name, mark in bytes_of(folder).items() if ".partial-" not in name} == whole
+        go(open_run(folder, resume=True), last=2)
+        assert bytes_of(folder) == whole

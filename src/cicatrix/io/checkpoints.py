@@ -65,9 +65,15 @@ def save_checkpoint(
     """
     content = npz_bytes(arrays)
     vouched = {"cycle": cycle, "scalars": dict(scalars or {}), "arrays_sha256": hashlib.sha256(content).hexdigest()}
-    stem = f"state-{cycle:06d}"
+    stem = _stem(cycle)
     write_bytes(folder / f"{stem}.npz", content)
     write_json(folder / f"{stem}.json", vouched | {"sha256": _digest(vouched)})
+    keep_newest(folder, cycle)
+
+
+def keep_newest(folder: Path, cycle: int) -> None:
+    """Remove what is newer than a cycle's checkpoint, what is older than the one before it, and halves of pairs."""
+    stem = _stem(cycle)
     _remove(folder, [other for other in _stems(folder) if other > stem] + _stems(folder, older_than=stem)[KEPT - 1 :])
 
 
@@ -116,6 +122,10 @@ def _read(folder: Path, stem: str, notes: tuple[str, ...]) -> Checkpoint:
 
 def _digest(vouched: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(vouched, sort_keys=True, allow_nan=False).encode()).hexdigest()
+
+
+def _stem(cycle: int) -> str:
+    return f"state-{cycle:06d}"
 
 
 def _stems(folder: Path, older_than: str | None = None) -> list[str]:

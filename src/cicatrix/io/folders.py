@@ -20,6 +20,12 @@ def holds_something(path: Path) -> bool:
     return path.is_dir() and any(not entry.name.startswith(TEMPORARY) for entry in path.iterdir())
 
 
+def sweep(path: Path) -> None:
+    """Remove what killed writes left behind."""
+    for leftover in path.rglob(TEMPORARY + "*"):
+        leftover.unlink(missing_ok=True)
+
+
 def make(path: Path) -> None:
     """Make a folder with its parents; an InputError if that cannot be."""
     try:

@@ -22,7 +22,7 @@ from . import checkpoints
 from .atomic import replacing, write_json
 from .checkpoints import Checkpoint
 from .fields import Frame, read_series, write_series, write_vtu
-from .folders import holds_something, lock, make, remove, unlock
+from .folders import holds_something, lock, make, remove, sweep, unlock
 from .history import History, read_history
 from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
 from .progress import Progress
@@ -140,6 +140,7 @@ class RunFolder:
         make(path)
         held = lock(path)
         try:
+            sweep(path)
             run = cls._continued(path, old, manifest, resume, progress or Progress())
         except BaseException:
             unlock(held)
@@ -168,6 +169,7 @@ class RunFolder:
     def _resumed(cls, path: Path, manifest: dict, progress: Progress, checkpoint: Checkpoint) -> RunFolder:
         run = cls(path, manifest, progress, checkpoint)
         run._manifest["notes"] = [*manifest["notes"], *checkpoint.notes, f"Resumed after cycle {checkpoint.cycle}."]
+        checkpoints.keep_newest(path / "checkpoint", checkpoint.cycle)
         remove(path / "outcome.json")
         run._history.cut_after(checkpoint.cycle)
         frames = read_series(path / "fields")
