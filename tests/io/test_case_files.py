@@ -181,6 +181,12 @@ def test_missing_image_is_a_fault_beside_others(write, tmp_path):
     assert faults[1] == f"image.path names {tmp_path / 'no.nii'}, but there is no such file or folder"
 
 
+@pytest.mark.parametrize("path", ["", "data:", " "])
+def test_empty_path_is_not_the_folder_of_the_case(path, write):
+    faults = check_case(write(f'kind = "lumpectomy"\n[image]\npath = "{path}"\n'))
+    assert faults == ["image.path must name a file or folder; got an empty text"]
+
+
 def test_data_prefix(write, tmp_path, monkeypatch):
     text = 'kind = "lumpectomy"\n[image]\npath = "data:a.nii.gz"\n'
     (tmp_path / "images").mkdir()

@@ -28,6 +28,8 @@ def input_path(text: str, folder: Path) -> Path:
     InputError
         If nothing is there; the sentence lacks its subject, the key.
     """
+    if not text.removeprefix(DATA_PREFIX).strip():
+        raise InputError("must name a file or folder; got an empty text")
     if text.startswith(DATA_PREFIX):
         path = data_folder(folder) / text.removeprefix(DATA_PREFIX)
     else:
