@@ -30,4 +30,4 @@ class ConvergenceError(CicatrixError):
 
 
 class InvariantError(CicatrixError):
-    """Something that must hold did not (exit code 3), such as the number of cells; a fault of the program, not of the input."""
+    """Something that must hold did not (exit code 3), such as the number of cells: a fault of the program."""

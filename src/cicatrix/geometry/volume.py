@@ -46,7 +46,7 @@ class Volume:
         return np.asarray(index_zyx, float)[..., ::-1] * self.spacing_mm + self.origin_mm
 
     def sample(self, points_mm: np.ndarray, order: int = 1) -> np.ndarray:
-        """Interpolate: points (..., 3) [mm] -> (...) or (n_channels, ...); outside the grid the nearest voxel counts."""
+        """Interpolate: points (..., 3) [mm] -> (...) or (n_channels, ...); outside, the nearest voxel counts."""
         coordinates = np.moveaxis(self.voxel(points_mm), -1, 0)
         channels = self.values if self.values.ndim == 4 else self.values[None]
         out = np.stack([map_coordinates(c, coordinates, order=order, mode="nearest", output=float) for c in channels])

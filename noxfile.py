@@ -1,0 +1,42 @@
+"""Tasks: lint, types, layers, test, bench."""
+
+import nox
+
+nox.options.sessions = ["lint", "types", "layers", "test"]
+nox.options.reuse_existing_virtualenvs = True
+
+
+@nox.session
+def lint(session: nox.Session) -> None:
+    """Lint, and check the format."""
+    session.install("ruff>=0.9")
+    session.run("ruff", "check", ".")
+    session.run("ruff", "format", "--check", ".")
+
+
+@nox.session
+def types(session: nox.Session) -> None:
+    """Check the types."""
+    session.install(".[dev]")
+    session.run("pyright", *session.posargs)
+
+
+@nox.session
+def layers(session: nox.Session) -> None:
+    """Check that imports go only downwards."""
+    session.install(".[dev]")
+    session.run("lint-imports")
+
+
+@nox.session
+def test(session: nox.Session) -> None:
+    """Run the tests against the installed package."""
+    session.install(".[test]")
+    session.run("pytest", *(session.posargs or ["-n", "2"]))
+
+
+@nox.session
+def bench(session: nox.Session) -> None:
+    """Measure speed."""
+    session.install(".")
+    session.run("cicatrix", "bench", *session.posargs)

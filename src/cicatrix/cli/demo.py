@@ -1,0 +1,37 @@
+"""``cicatrix demo``: the main job on the built-in phantom."""
+
+from __future__ import annotations
+
+import argparse
+from importlib import resources
+from pathlib import Path
+
+from ..io.cases import load_case
+from ..io.runs import simulate
+from .headline import print_headline
+from .progress import make_progress
+
+AFTER_INTERRUPTION = "; the last checkpoint is kept, the same command goes on"
+
+
+def add_parser(verbs: argparse._SubParsersAction) -> None:
+    """Add the verb."""
+    words = "the main job on the built-in phantom: image to healed shape, 2-D"
+    parser = verbs.add_parser("demo", help=words, allow_abbrev=False)
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, default=Path("demo"), help="the run's folder (default: demo)"
+    )
+    parser.set_defaults(run=run, after_interruption=AFTER_INTERRUPTION)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo case; a demo that was stopped goes on, one that is finished is shown again."""
+    with resources.as_file(resources.files("cicatrix.study") / "demo.toml") as path:
+        case = load_case(path)
+    progress = make_progress()
+    try:
+        results = simulate(case, args.out, True, progress)
+    finally:
+        progress.close()
+    print_headline(results)
+    return 0

@@ -1,0 +1,83 @@
+"""Progress as a person or a log file wants it: bars on a terminal, plain lines when piped; both on stderr."""
+
+from __future__ import annotations
+
+import sys
+from typing import TextIO
+
+from rich.console import Console
+from rich.progress import BarColumn, TaskID, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+
+from ..io.progress import Progress
+
+STEP = 0.1  # a plain line for every tenth
+
+
+class PlainProgress(Progress):
+    """One line when a stage starts, for every tenth of it, and with its seconds when it ends."""
+
+    def __init__(self, stream: TextIO):
+        super().__init__()
+        self._stream = stream
+        self._stages: list[tuple[str, float]] = []  # name and the fraction last told
+
+    def begin(self, name: str) -> None:
+        """Say that a stage starts."""
+        self._stages.append((name, 0.0))
+        self._print(f"{name} ...")
+
+    def update(self, fraction: float, text: str = "") -> None:
+        """Say how far the stage is, if it moved on by a tenth."""
+        if not self._stages:
+            return
+        name, told = self._stages[-1]
+        if fraction >= told + STEP:
+            self._stages[-1] = (name, fraction)
+            self._print(f"{name}: {fraction:.0%} {text}".rstrip())
+
+    def end(self, name: str) -> None:
+        """Say how long the stage took, all its visits together."""
+        self._stages.pop()
+        self._print(f"{name}: {self.seconds[name].wall:.1f} s")
+
+    def _print(self, line: str) -> None:
+        print(line, file=self._stream, flush=True)
+
+
+class BarProgress(Progress):
+    """One live bar per stage."""
+
+    def __init__(self, console: Console):
+        super().__init__()
+        columns = (TextColumn("{task.description:<24}"), BarColumn(), TextColumn("{task.fields[word]}"))
+        self._bars = Bars(*columns, TimeElapsedColumn(), console=console)
+        self._tasks: dict[str, TaskID] = {}
+        self._open: list[str] = []
+        self._bars.start()
+
+    def begin(self, name: str) -> None:
+        """Show the stage's bar."""
+        if name not in self._tasks:
+            self._tasks[name] = self._bars.add_task(name, total=None, word="")
+        self._open.append(name)
+
+    def update(self, fraction: float, text: str = "") -> None:
+        """Move the innermost bar."""
+        if self._open:
+            self._bars.update(self._tasks[self._open[-1]], total=1.0, completed=fraction, word=text)
+
+    def end(self, name: str) -> None:
+        """Fill the bar."""
+        self._open.pop()
+        self._bars.update(self._tasks[name], total=1.0, completed=1.0)
+
+    def close(self) -> None:
+        """Leave the bars as they are and give the terminal back."""
+        self._bars.stop()
+
+
+def make_progress(stream: TextIO | None = None) -> PlainProgress | BarProgress:
+    """Bars if the stream (stderr) is a terminal, lines if it is not."""
+    target: TextIO = sys.stderr if stream is None else stream
+    return BarProgress(Console(file=target)) if target.isatty() else PlainProgress(target)

@@ -1,0 +1,38 @@
+"""``cicatrix run``: a case file to a folder of results."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from ..io.cases import load_case
+from ..io.runs import simulate
+from .arguments import add_case, add_overrides
+from .headline import print_headline
+from .progress import make_progress
+
+AFTER_INTERRUPTION = "; the last checkpoint is kept, the same command with --resume goes on"
+
+
+def add_parser(verbs: argparse._SubParsersAction) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("run", help="run a case file", allow_abbrev=False)
+    add_case(parser)
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="the run's folder (default: runs/NAME of the case file)"
+    )
+    parser.add_argument("--resume", action="store_true", help="go on from the last checkpoint in the run's folder")
+    add_overrides(parser)
+    parser.set_defaults(run=run, after_interruption=AFTER_INTERRUPTION)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Load the case, run it, print the headline."""
+    case = load_case(args.case, args.set)
+    progress = make_progress()
+    try:
+        results = simulate(case, args.out or Path("runs") / args.case.stem, args.resume, progress)
+    finally:
+        progress.close()
+    print_headline(results)
+    return 0

@@ -1,0 +1,62 @@
+"""The one place where units change: inside, everything is mm, kg, s, hence mN, kPa and uJ.
+
+1 kPa = 1 mN/mm2 = 1 kg/(mm s2), and 1 mN mm = 1 uJ, so no factor appears in any formula. Time of healing is
+counted in days. Every function takes a number or an array and returns the same.
+"""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+
+Value = TypeVar("Value", float, np.ndarray)
+
+STANDARD_GRAVITY_M_S2 = 9.80665
+HOURS_PER_DAY = 24.0
+DAYS_PER_WEEK = 7.0
+
+
+def density_kg_mm3(density_kg_m3: Value) -> Value:
+    """Mass density: [kg/m3] -> [kg/mm3]."""
+    return density_kg_m3 * 1e-9
+
+
+def acceleration_mm_s2(acceleration_m_s2: Value) -> Value:
+    """Acceleration: [m/s2] -> [mm/s2]."""
+    return acceleration_m_s2 * 1e3
+
+
+def mm_from_um(length_um: Value) -> Value:
+    """Length: [um] -> [mm]."""
+    return length_um * 1e-3
+
+
+def um_from_mm(length_mm: Value) -> Value:
+    """Length: [mm] -> [um]."""
+    return length_mm * 1e3
+
+
+def days_from_hours(time_hours: Value) -> Value:
+    """Time: [h] -> [days]."""
+    return time_hours / HOURS_PER_DAY
+
+
+def hours_from_days(time_days: Value) -> Value:
+    """Time: [days] -> [h]."""
+    return time_days * HOURS_PER_DAY
+
+
+def days_from_weeks(time_weeks: Value) -> Value:
+    """Time: [weeks] -> [days]."""
+    return time_weeks * DAYS_PER_WEEK
+
+
+def weeks_from_days(time_days: Value) -> Value:
+    """Time: [days] -> [weeks]."""
+    return time_days / DAYS_PER_WEEK
+
+
+def ml_from_mm3(volume_mm3: Value) -> Value:
+    """Volume: [mm3] -> [ml]."""
+    return volume_mm3 * 1e-3

@@ -1,0 +1,248 @@
+"""Case files: TOML in, a checked case out; every fault is told in a sentence that names its key."""
+
+from __future__ import annotations
+
+import difflib
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..core.errors import InputError
+from ..study.case import LumpectomyCase, Table
+from ..study.limits import FAULT, OUT_OF_RANGE
+from .paths import input_path
+
+Case = LumpectomyCase
+KINDS: dict[str, type[LumpectomyCase]] = {"lumpectomy": LumpectomyCase}
+PATH_KEYS = ("path", "labels")  # of the table [image]
+
+TYPE_WORDS = {
+    "float_type": "must be a number",
+    "int_type": "must be a whole number",
+    "string_type": "must be a text",
+    "path_type": "must be a text that names a file",
+    "tuple_type": "must be a list",
+    "model_type": "must be a table",
+}
+
+
+def load_case(path: str | Path, overrides: Sequence[str] = ()) -> Case:
+    """Read and check a case file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file; paths in it are relative to it, or start with ``data:``.
+    overrides : sequence of str
+        ``key.path=value`` each, as after ``--set``.
+
+    Returns
+    -------
+    LumpectomyCase
+        The case, its paths absolute.
+
+    Raises
+    ------
+    InputError
+        With the first fault, and how many more there are.
+    """
+    case, faults = _examine(Path(path), overrides)
+    if case is None:
+        more = f" (and {len(faults) - 1} more: cicatrix check {path} lists them)" if len(faults) > 1 else ""
+        raise InputError(f"{path}: {faults[0]}{more}")
+    return case
+
+
+def check_case(path: str | Path, overrides: Sequence[str] = ()) -> list[str]:
+    """Return every fault of a case file, one sentence each; an empty list means that it is sound."""
+    return _examine(Path(path), overrides)[1]
+
+
+def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """Return the tables with ``key.path=value`` settings applied; a value that is no TOML is taken as a text.
+
+    Parameters
+    ----------
+    raw : mapping
+        Tables as read from TOML; not changed.
+    overrides : sequence of str
+        Settings, such as ``run.seed=3``; later ones win.
+
+    Raises
+    ------
+    InputError
+        If a setting has no ``=``, or leads through a key that is no table.
+    """
+    tables = _copy(raw)
+    for setting in overrides:
+        key, equals, text = setting.partition("=")
+        if not equals or not all(part.strip() for part in key.split(".")):
+            raise InputError(f"--set {setting}: must read key.path=value, such as run.seed=3")
+        _put(tables, [part.strip() for part in key.split(".")], _toml_value(text.strip()), setting)
+    return tables
+
+
+def case_table(case: Case) -> dict[str, Any]:
+    """Return a case as nested tables of plain values for the manifest; a file is named without its folder.
+
+    Folder names can identify a patient, and they say nothing about content: the manifest's hashes do.
+    """
+    table = case.model_dump(mode="python")
+    for key in PATH_KEYS:
+        if table["image"][key] is not None:
+            table["image"][key] = Path(table["image"][key]).name
+    return json.loads(json.dumps(table))
+
+
+def input_files(case: Case) -> dict[str, Path]:
+    """Return the files and folders that a case reads, by key."""
+    found = {f"image.{key}": getattr(case.image, key) for key in PATH_KEYS}
+    return {key: path for key, path in found.items() if path is not None}
+
+
+def _examine(path: Path, overrides: Sequence[str]) -> tuple[Case | None, list[str]]:
+    try:
+        raw = apply_overrides(_read_toml(path), overrides)
+        kind = KINDS[_kind_of(raw)]
+    except InputError as error:
+        return None, [str(error)]
+    located, faults = _locate(raw, path.parent)
+    try:
+        case = kind.model_validate(located)
+    except ValidationError as error:
+        return None, [_sentence(item, kind) for item in error.errors(include_url=False)] + faults
+    return (None if faults else case), faults
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not valid TOML: {error}") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"is not a text file in UTF-8 (byte {error.start})") from None
+    except IsADirectoryError:
+        raise InputError("is a folder; a case file is needed") from None
+    except FileNotFoundError:
+        raise InputError("there is no such case file") from None
+    except OSError as error:
+        raise InputError(f"cannot be read: {error.strerror}") from None
+
+
+def _kind_of(raw: Mapping[str, Any]) -> str:
+    kind = raw.get("kind")
+    if kind is None:
+        raise InputError(f"kind is missing; a case file starts with kind = {_either(KINDS)}")
+    if not isinstance(kind, str) or kind not in KINDS:
+        raise InputError(f"kind must be {_either(KINDS)}; got {_show(kind)}")
+    return kind
+
+
+def _locate(raw: dict[str, Any], folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Resolve the paths of the image table; a file that is not there is a fault."""
+    image, faults = raw.get("image"), []
+    if not isinstance(image, dict):
+        return raw, faults
+    for key in PATH_KEYS:
+        if isinstance(image.get(key), str):
+            try:
+                image[key] = input_path(image[key], folder)
+            except InputError as error:
+                faults.append(f"image.{key} {error}")
+    return raw, faults
+
+
+def _sentence(error: Mapping[str, Any], kind: type[Table]) -> str:
+    """Put one validation error into words: which key, what would be right, what was found."""
+    loc, name, value = error["loc"], error["type"], error["input"]
+    context = error.get("ctx", {})
+    key = _dotted(loc)
+    if name == FAULT:
+        return f"{_dotted((*loc, context['key']))} {context['sentence']}"
+    if name == "extra_forbidden":
+        return _unknown_key(loc, kind)
+    if name == "missing":
+        return f"{key} is missing"
+    if name == OUT_OF_RANGE:
+        words = context["words"]
+    elif name == "literal_error":
+        words = "must be " + context["expected"].replace("'", '"')
+    else:
+        words = TYPE_WORDS.get(name, "is not understood")
+    return f"{key} {words}; got {_show(value)}"
+
+
+def _unknown_key(loc: Sequence[str | int], kind: type[Table]) -> str:
+    """Name the nearest known key: first in the same table, then the same name in another one."""
+    key, known = _dotted(loc), _known_keys(kind)
+    prefix = key.rpartition(".")[0]
+    siblings = [name for name in known if name.rpartition(".")[0] == prefix]
+    leaf = key.rpartition(".")[2]
+    by_leaf = {name.rpartition(".")[2].lower(): name for name in siblings}
+    near = difflib.get_close_matches(leaf.lower(), by_leaf, n=1)
+    if near:
+        return f"{key} is not a known key; did you mean {by_leaf[near[0]]}?"
+    elsewhere = [name for name in known if name.rpartition(".")[2] == leaf]
+    if elsewhere:
+        return f"{key} is not a known key; did you mean {' or '.join(elsewhere)}?"
+    where = f"[{prefix}]" if prefix else "the file"
+    return f"{key} is not a known key; known in {where}: {', '.join(name.rpartition('.')[2] for name in siblings)}"
+
+
+def _known_keys(table: type[Table], prefix: str = "") -> list[str]:
+    names: list[str] = []
+    for name, field in table.model_fields.items():
+        names.append(prefix + name)
+        for candidate in (field.annotation, *getattr(field.annotation, "__args__", ())):
+            if isinstance(candidate, type) and issubclass(candidate, Table):
+                names += _known_keys(candidate, f"{prefix}{name}.")
+    return names
+
+
+def _dotted(loc: Sequence[str | int]) -> str:
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc).lstrip(".")
+
+
+def _show(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, Mapping):
+        return "a table"
+    if isinstance(value, str):
+        return f'"{value}"'
+    if isinstance(value, (list, tuple)):
+        return f"[{', '.join(_show(item) for item in value)}]"
+    return str(value)
+
+
+def _either(names: Mapping[str, Any]) -> str:
+    return " or ".join(f'"{name}"' for name in names)
+
+
+def _toml_value(text: str) -> Any:
+    try:
+        parsed = tomllib.loads(f"value = {text}")
+    except tomllib.TOMLDecodeError:
+        return text
+    return parsed["value"] if len(parsed) == 1 else text
+
+
+def _copy(value: Any) -> Any:
+    """Copy nested tables and lists, so that the copy may be changed."""
+    if isinstance(value, Mapping):
+        return {key: _copy(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_copy(item) for item in value]
+    return value
+
+
+def _put(tables: dict[str, Any], names: list[str], value: Any, setting: str) -> None:
+    for depth, name in enumerate(names[:-1]):
+        tables = tables.setdefault(name, {})
+        if not isinstance(tables, dict):
+            raise InputError(f"--set {setting}: {'.'.join(names[: depth + 1])} is not a table")
+    tables[names[-1]] = value

@@ -1,0 +1,109 @@
+"""Fields on triangles for ParaView: one VTU per part and cycle, and a series file with times in days."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.sax.saxutils import quoteattr
+
+import meshio
+import numpy as np
+
+from .atomic import replacing, write_bytes
+
+SERIES = "series.pvd"
+CELL_TYPES = {3: "triangle", 6: "triangle6"}
+NAME = re.compile(r"(?P<part>.+)-(?P<cycle>\d{4,})\.vtu")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One file of the series: which part of the picture, at which cycle and time [days]."""
+
+    part: str
+    cycle: int
+    time_days: float
+
+    @property
+    def file(self) -> str:
+        """Name of the VTU file."""
+        return f"{self.part}-{self.cycle:04d}.vtu"
+
+
+def write_vtu(
+    path: Path,
+    points: np.ndarray,
+    triangles: np.ndarray,
+    point_data: Mapping[str, np.ndarray] | None = None,
+    cell_data: Mapping[str, np.ndarray] | None = None,
+) -> None:
+    """Write a triangle mesh with data, whole or not at all.
+
+    Parameters
+    ----------
+    path : Path
+        Ends in ``.vtu``.
+    points : (n_points, 2) or (n_points, 3) array [mm]
+        Nodes; a plane mesh lies at z = 0.
+    triangles : (n_cells, 3) or (n_cells, 6) array of int
+        Corners counter-clockwise, then the middles of edges 01, 12, 20.
+    point_data, cell_data : mapping of str to array
+        One row per node or cell; rows of length 2 get a third component 0, booleans become 0 and 1.
+
+    Raises
+    ------
+    ValueError
+        If a triangle has neither 3 nor 6 nodes, or data have the wrong number of rows.
+    """
+    triangles = np.asarray(triangles)
+    if triangles.ndim != 2 or triangles.shape[1] not in CELL_TYPES:
+        raise ValueError(f"triangles must be (n, 3) or (n, 6); got {triangles.shape}")
+    mesh = meshio.Mesh(
+        _spatial(np.asarray(points, float)),
+        [(CELL_TYPES[triangles.shape[1]], triangles)],
+        point_data={name: _plain(values) for name, values in (point_data or {}).items()},
+        cell_data={name: [_plain(values)] for name, values in (cell_data or {}).items()},
+    )
+    with replacing(path) as temporary:
+        mesh.write(temporary, file_format="vtu", binary=True, compression="zlib")
+
+
+def write_series(folder: Path, frames: list[Frame]) -> None:
+    """Write the file that ParaView opens: every frame with its time; each part keeps its number."""
+    parts = sorted({frame.part for frame in frames})
+    ordered = sorted(frames, key=lambda frame: (frame.time_days, frame.part, frame.cycle))
+    rows = [
+        f'    <DataSet timestep="{frame.time_days!r}" group="" part="{parts.index(frame.part)}"'
+        f" name={quoteattr(frame.part)} file={quoteattr(frame.file)}/>"
+        for frame in ordered
+    ]
+    head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
+    lines = [*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""]
+    write_bytes(folder / SERIES, "\n".join(lines).encode())
+
+
+def read_series(folder: Path) -> list[Frame]:
+    """Read the frames of a series; none if there is no series yet."""
+    path = folder / SERIES
+    if not path.is_file():
+        return []
+    frames = []
+    for row in ElementTree.parse(path).iter("DataSet"):
+        match = NAME.fullmatch(row.get("file", ""))
+        if match:
+            frames.append(Frame(match["part"], int(match["cycle"]), float(row.get("timestep", "nan"))))
+    return frames
+
+
+def _spatial(values: np.ndarray) -> np.ndarray:
+    """Pad rows of two numbers by a zero: VTK knows no plane."""
+    return np.pad(values, ((0, 0), (0, 1))) if values.shape[1] == 2 else values
+
+
+def _plain(values: np.ndarray) -> np.ndarray:
+    values = np.ascontiguousarray(values)
+    values = values.astype(np.uint8) if values.dtype == bool else values
+    return _spatial(values) if values.ndim == 2 else values

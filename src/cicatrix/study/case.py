@@ -1,0 +1,240 @@
+"""What a case says: numbers, names and paths, frozen and checked; the names are the keys of the case file.
+
+A case is plain data. It holds no arrays and no callables, so two cases are equal when their files say the same.
+Lengths are in mm, stiffness in kPa, where a key's name does not say otherwise. Where a default comes from is told
+by :mod:`cicatrix.study.sources`.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, model_validator
+
+from ..core.units import days_from_hours
+from .limits import (
+    Ascending,
+    Integer,
+    NotNegative,
+    Number,
+    PoissonRatio,
+    Positive,
+    Probability,
+    Vector,
+    fault,
+    limits,
+)
+
+Position = Literal["prone", "supine", "upright"]
+REFERENCE_PITCH_UM = 10.0  # the pitch at which healing.hours_per_step is given
+
+
+class Table(BaseModel):
+    """A table of a case file: frozen, and no key but its own."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+
+class ChestWall(Table):
+    """Where the breast ends behind, when it is not to be found automatically.
+
+    Either a plane by ``point_mm`` and ``normal``, or a curve through ``points_mm``; image coordinates (LPS).
+    """
+
+    point_mm: Vector | None = None
+    normal: Vector | None = None
+    points_mm: tuple[Vector, ...] | None = None
+
+    @model_validator(mode="after")
+    def _plane_or_points(self) -> ChestWall:
+        plane = self.point_mm is not None or self.normal is not None
+        if plane == (self.points_mm is not None):
+            raise fault("points_mm", "must be given without point_mm and normal, or those two without it")
+        if plane and (self.point_mm is None or self.normal is None):
+            raise fault("normal", "and point_mm belong together: a plane needs both")
+        if self.normal is not None and not any(self.normal):
+            raise fault("normal", "must not be zero: it is the direction from the chest wall to the nipple")
+        if self.points_mm is not None and len(self.points_mm) < 2:
+            raise fault("points_mm", f"must hold at least 2 points; got {len(self.points_mm)}")
+        return self
+
+
+class Image(Table):
+    """The picture of the breast and how she lay."""
+
+    path: Path | None = None
+    phantom: Literal["half-ellipsoid"] | None = None
+    voxel_mm: Annotated[Positive, limits(most=20.0)] = 1.0  # of the phantom
+    weighting: Literal["t1", "t1-fatsat"] = "t1"
+    position: Position = "prone"
+    side: Literal["left", "right"] = "left"
+    plane: Literal["axial", "sagittal"] = "axial"
+    slice_mm: Number | None = None
+    labels: Path | None = None
+    chest_wall: ChestWall | None = None
+
+    @model_validator(mode="after")
+    def _one_origin(self) -> Image:
+        if self.path is not None and self.phantom is not None:
+            raise fault("phantom", "and path exclude each other: give one of the two")
+        if self.phantom is not None and self.labels is not None:
+            raise fault("labels", "and phantom exclude each other: the phantom knows its own labels")
+        if self.path is None and self.phantom is None and self.labels is None:
+            raise fault(
+                "path", 'is missing: name an image, or a label map by labels, or set phantom = "half-ellipsoid"'
+            )
+        return self
+
+
+class Fat(Table):
+    """Adipose tissue."""
+
+    E_kPa: Positive = 3.25
+    nu: PoissonRatio = 0.495
+    density_kg_m3: Positive = 930.0
+
+
+class Gland(Table):
+    """Fibroglandular tissue."""
+
+    E_kPa: Positive = 3.24
+    nu: PoissonRatio = 0.495
+    density_kg_m3: Positive = 1040.0
+
+
+class Skin(Table):
+    """Skin, a layer on the outer surface."""
+
+    E_kPa: Positive = 56.0
+    nu: PoissonRatio = 0.495
+    density_kg_m3: Positive = 1090.0
+    thickness_mm: Positive = 1.45
+
+
+class Tumour(Table):
+    """The mass that is taken out."""
+
+    E_kPa: Positive = 6 * 3.24
+    nu: PoissonRatio = 0.495
+    density_kg_m3: Positive = 1040.0
+
+
+class Scar(Table):
+    """New tissue in the cavity."""
+
+    E_kPa: Positive = 3.25 * 29 / 15
+    nu: PoissonRatio = 0.495
+    density_kg_m3: Positive = 1040.0
+
+
+class Tissue(Table):
+    """Small-strain stiffness, compressibility and density of each tissue."""
+
+    fat: Fat = Fat()
+    gland: Gland = Gland()
+    skin: Skin = Skin()
+    tumour: Tumour = Tumour()
+    scar: Scar = Scar()
+
+
+class Resection(Table):
+    """What the surgeon removes: a ball; its centre left out is the tumour's centroid."""
+
+    centre_mm: Vector | None = None
+    radius_mm: Positive = 12.0
+    margin_mm: NotNegative = 5.0
+
+
+class Healing(Table):
+    """The healing automaton and the tissue that it lays down."""
+
+    model: Literal["automaton"] = "automaton"
+    deposition: Literal["unloaded", "loaded"] = "unloaded"
+    deposition_prestretch: Positive = 1.0
+    contraction_kPa: NotNegative = 0.0
+    pitch_um: Positive = 10.0
+    hours_per_step: Positive = 15.0
+    p_edge: Probability = 0.2
+    p_layer: Probability = 0.1
+    layer_um: Positive = 400.0
+    contact_inhibition: Annotated[Integer, limits(least=0, most=6)] = 1
+    motility_substeps: Annotated[Integer, limits(least=0, most=64)] = 8
+    redistribution: Literal["route", "level-set"] = "route"
+    feedback: NotNegative = 1.0
+
+    @model_validator(mode="after")
+    def _layer_holds_a_site(self) -> Healing:
+        if self.layer_um < self.pitch_um:
+            raise fault("layer_um", f"must be at least pitch_um ({self.pitch_um:g}); got {self.layer_um:g}")
+        return self
+
+    @property
+    def days_per_step(self) -> float:
+        """Length of one automaton step at this pitch [days]: it scales with the pitch, so the front keeps its speed."""
+        return days_from_hours(self.hours_per_step * self.pitch_um / REFERENCE_PITCH_UM)
+
+
+class Coupling(Table):
+    """How often, and in which direction, mechanics and healing talk."""
+
+    mode: Literal["one-way", "two-way"] = "two-way"
+    days_per_cycle: Positive = 7.0
+    healing_position: Position = "upright"
+
+
+class Outcome(Table):
+    """For which positions and visits the shape is reported."""
+
+    positions: tuple[Position, ...] = ("upright", "supine")
+    visits_weeks: Ascending = (2.0, 6.0, 10.0, 26.0)
+
+
+class Mesh(Table):
+    """Target edge lengths of the mesh: far from the cavity and at it."""
+
+    edge_mm: Positive = 3.0
+    cavity_edge_mm: Positive = 1.0
+
+    @model_validator(mode="after")
+    def _finer_at_the_cavity(self) -> Mesh:
+        if self.cavity_edge_mm > self.edge_mm:
+            raise fault("cavity_edge_mm", f"must be at most edge_mm ({self.edge_mm:g}); got {self.cavity_edge_mm:g}")
+        return self
+
+
+class Solver(Table):
+    """When Newton's method is done: residual over load."""
+
+    relative_tolerance: Annotated[Number, limits(above=0.0, most=0.01)] = 1e-8
+
+
+class Run(Table):
+    """Seed of the random numbers and the last week."""
+
+    seed: Annotated[Integer, limits(least=0, below=2**63)] = 1
+    max_weeks: Positive = 52.0
+
+
+class LumpectomyCase(Table):
+    """The main job: from an image and a planned lumpectomy to the healed shape."""
+
+    kind: Literal["lumpectomy"] = "lumpectomy"
+    dimension: Literal[2] = 2
+    image: Image
+    tissue: Tissue = Tissue()
+    resection: Resection = Resection()
+    healing: Healing = Healing()
+    coupling: Coupling = Coupling()
+    outcome: Outcome = Outcome()
+    mesh: Mesh = Mesh()
+    solver: Solver = Solver()
+    run: Run = Run()
+
+    @model_validator(mode="after")
+    def _cycle_holds_a_step(self) -> LumpectomyCase:
+        step, cycle = self.healing.days_per_step, self.coupling.days_per_cycle
+        if cycle < step:
+            sentence = f"must hold at least one automaton step ({step:g} days at this pitch); got {cycle:g}"
+            raise fault("coupling.days_per_cycle", sentence)
+        return self

@@ -1,0 +1,41 @@
+"""Every default that a reader may question has a source, and units change in one place."""
+
+import pytest
+
+from cicatrix.core import units
+from cicatrix.study.case import Image, LumpectomyCase, Tissue, Tumour
+from cicatrix.study.sources import SOURCES, keys, sources_of, value_at
+
+CASE = LumpectomyCase(image=Image(phantom="half-ellipsoid"))
+
+
+def test_every_tissue_and_healing_number_has_a_source():
+    asked = {key for key in keys(CASE) if key.split(".")[0] in ("tissue", "healing")} - {"healing.model"}
+    assert asked <= SOURCES.keys() <= set(keys(CASE))
+
+
+def test_changed_value_is_not_given_the_source_of_the_default():
+    case = CASE.model_copy(update={"tissue": Tissue(tumour=Tumour(E_kPa=30.0))})
+    assert sources_of(case)["tissue.tumour.E_kPa"] == "given by the case"
+    assert "6 times gland" in sources_of(CASE)["tissue.tumour.E_kPa"]
+
+
+def test_defaults_follow_their_sources():
+    assert value_at(CASE, "tissue.scar.E_kPa") == pytest.approx(6.2833, abs=1e-4)  # 3.25 * 29 / 15 by hand
+    assert value_at(CASE, "tissue.tumour.E_kPa") == pytest.approx(19.44)
+    assert CASE.healing.days_per_step == 0.625  # 15 h
+
+
+def test_step_length_scales_with_the_pitch():
+    coarse = CASE.healing.model_copy(update={"pitch_um": 40.0})
+    assert coarse.days_per_step == 4 * CASE.healing.days_per_step
+
+
+def test_units():
+    # weight of 1 ml of water by hand: 1000 kg/m3 * 1000 mm3 * 9.80665 m/s2 = 9.80665 mN
+    weight = units.density_kg_mm3(1000.0) * 1000.0 * units.acceleration_mm_s2(units.STANDARD_GRAVITY_M_S2)
+    assert weight == pytest.approx(9.80665)
+    assert units.weeks_from_days(units.days_from_weeks(26.0)) == 26.0
+    assert units.hours_from_days(units.days_from_hours(15.0)) == 15.0
+    assert units.um_from_mm(units.mm_from_um(10.0)) == pytest.approx(10.0)
+    assert units.ml_from_mm3(55_000.0) == pytest.approx(55.0)

@@ -1,0 +1,49 @@
+"""The command line with a stand-in for the computation: three cycles of nothing, and every way to end badly."""
+
+import os
+import signal
+import sys
+import time
+
+import numpy as np
+
+from cicatrix.cli import demo, main, run
+from cicatrix.core.errors import ConvergenceError, InputError
+from cicatrix.io.cases import case_table, input_files
+from cicatrix.io.results import Quantity, RunFolder, read_results
+
+ENDS = {
+    "input": InputError("the image holds\nno breast"),
+    "convergence": ConvergenceError("Newton stopped at load 0.4; try smaller steps.", ["load 0.5: residual 1e-2"]),
+    "bug": ZeroDivisionError("division by zero"),
+}
+
+
+def simulate(case, out=None, resume=False, progress=None):
+    end = os.environ.get("END", "")
+    with RunFolder.open(
+        out, case_table(case), seed=case.run.seed, inputs=input_files(case), resume=resume, progress=progress
+    ) as folder:
+        start = folder.checkpoint.cycle + 1 if folder.checkpoint else 0
+        with progress.stage("cycles"):
+            for cycle in range(0 if folder.already_finished else start, 3 if not folder.already_finished else 0):
+                folder.record({"cycle": cycle, "time_days": 7.0 * cycle})
+                folder.save_checkpoint(cycle, {"x": np.array(cycle)})
+                progress.update((cycle + 1) / 3, f"cycle {cycle}")
+                if end in ENDS:
+                    raise ENDS[end]
+                if end == "terminate":
+                    os.kill(os.getpid(), signal.SIGTERM)
+                    time.sleep(5)
+                if end == "interrupt":
+                    raise KeyboardInterrupt
+        if not folder.already_finished:
+            folder.write_outcome(
+                {"time_to_closure_days": Quantity(14.0, "days"), "by_visit": Quantity({"week 2": 1.0}, "mm")}
+            )
+            folder.finish("The cavity closed on day 14.")
+    return read_results(out)
+
+
+demo.simulate = run.simulate = simulate
+sys.exit(main.main())

@@ -1,0 +1,141 @@
+"""What a person types and what comes back: exit codes, one sentence, never a traceback."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+STAND_IN = Path(__file__).parent / "stand_in.py"
+PHANTOM = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n'
+INTERRUPTED = "cicatrix: interrupted; the last checkpoint is kept, the same command with --resume goes on"
+
+
+@pytest.fixture
+def case(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(PHANTOM, encoding="utf-8")
+    return path
+
+
+def cicatrix(*arguments, cwd, program=("-m", "cicatrix.cli.main"), **environment):
+    command = [sys.executable, *map(str, program), *map(str, arguments)]
+    env = os.environ | environment | {"TMPDIR": str(cwd)}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=cwd, env=env, check=False, timeout=120)
+    assert "Traceback" not in done.stdout + done.stderr
+    return done
+
+
+def stand_in(*arguments, cwd, **environment):
+    return cicatrix(*arguments, cwd=cwd, program=(STAND_IN,), **environment)
+
+
+def status(folder):
+    return json.loads((folder / "manifest.json").read_text())["status"]
+
+
+def test_help_shows_the_verbs_in_order(tmp_path):
+    done = cicatrix("--help", cwd=tmp_path)
+    assert done.returncode == 0
+    verbs = re.findall(r"^    (\w+)  ", done.stdout, re.MULTILINE)
+    road = ["demo", "run", "check", "segment", "mesh", "report", "bench"]
+    assert verbs == [verb for verb in road if verb in verbs]
+    assert {"demo", "run", "check", "bench"} <= set(verbs)
+
+
+@pytest.mark.parametrize("arguments", [(), ("frob",), ("run",), ("check", "a.toml", "--sett", "x"), ("bench", "none")])
+def test_wrong_command_is_one_sentence(arguments, tmp_path):
+    done = cicatrix(*arguments, cwd=tmp_path)
+    assert done.returncode == 2
+    assert re.fullmatch(r"cicatrix: [^\n]+\n", done.stderr)
+
+
+def test_check_sound_case(case, tmp_path):
+    done = cicatrix("check", case, cwd=tmp_path)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "no fault found" in done.stdout
+
+
+def test_check_tells_every_fault_on_a_line(case, tmp_path):
+    case.write_text(PHANTOM + "[tissue.fat]\nnu = 0.5\nE_kPa = -1.0\n[run]\nsed = 1\n", encoding="utf-8")
+    done = cicatrix("check", case, "--set", "healing.p_edge=2", cwd=tmp_path)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 4
+    assert all(line.startswith(f"{case}: ") for line in done.stderr.splitlines())
+
+
+def test_run_with_bad_case_leaves_nothing(case, tmp_path):
+    case.write_text(PHANTOM + "[tissue.fat]\nnu = 0.5\n", encoding="utf-8")
+    done = cicatrix("run", case, "--out", "out", cwd=tmp_path)
+    assert done.returncode == 2
+    assert done.stderr == f"cicatrix: {case}: tissue.fat.nu must be at least 0 and below 0.5; got 0.5\n"
+    assert not (tmp_path / "out").exists()
+
+
+def test_run_tells_the_headline(case, tmp_path):
+    done = stand_in("run", case, cwd=tmp_path)
+    assert done.returncode == 0
+    assert done.stdout.startswith("The cavity closed on day 14.\n  time_to_closure_days")
+    assert "by_visit" not in done.stdout
+    assert "cycles: 33% cycle 0" in done.stderr  # plain lines: the stream is no terminal
+    assert "\x1b" not in done.stderr
+    assert status(tmp_path / "runs" / "case")["state"] == "finished"
+
+
+def test_finished_run_is_kept(case, tmp_path):
+    stand_in("run", case, "--out", "out", cwd=tmp_path)
+    again = stand_in("run", case, "--out", "out", cwd=tmp_path)
+    assert again.returncode == 2
+    assert "finished run" in again.stderr
+    assert stand_in("run", case, "--out", "out", "--resume", cwd=tmp_path).returncode == 0
+    other = stand_in("run", case, "--out", "out", "--resume", "--set", "run.seed=2", cwd=tmp_path)
+    assert (other.returncode, "run.seed differ" in other.stderr) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("end", "code", "last", "state"),
+    [
+        ("input", 2, "cicatrix: the image holds no breast", "failed"),
+        ("convergence", 3, "cicatrix: Newton stopped at load 0.4; try smaller steps.", "failed"),
+        ("interrupt", 130, INTERRUPTED, None),
+        ("terminate", 130, INTERRUPTED, None),
+    ],
+)
+@pytest.mark.skipif(sys.platform == "win32", reason="signals")
+def test_every_bad_end(end, code, last, state, case, tmp_path):
+    done = stand_in("run", case, "--out", "out", cwd=tmp_path, END=end)
+    assert done.returncode == code
+    assert done.stderr.splitlines()[-1] == last
+    assert status(tmp_path / "out")["state"] == (state or "interrupted")
+    if end == "convergence":
+        assert "  load 0.5: residual 1e-2" in done.stderr.splitlines()
+    again = stand_in("run", case, "--out", "out", "--resume", cwd=tmp_path)
+    assert again.returncode == 0
+    assert (tmp_path / "out" / "history.csv").read_text() == "cycle,time_days\n0,0.0\n1,7.0\n2,14.0\n"
+
+
+def test_fault_inside_points_to_its_traceback(case, tmp_path):
+    done = stand_in("run", case, "--out", "out", cwd=tmp_path, END="bug")
+    assert done.returncode == 3
+    match = re.search(r"cicatrix: a fault inside cicatrix \(ZeroDivisionError\).* (\S+)\n$", done.stderr)
+    assert match
+    assert "ZeroDivisionError: division by zero" in Path(match[1]).read_text()
+    assert status(tmp_path / "out")["state"] == "failed"
+
+
+def test_demo_is_shown_again(tmp_path):
+    first, second = (stand_in("demo", cwd=tmp_path) for _ in range(2))
+    assert (first.returncode, second.returncode) == (0, 0)
+    assert first.stdout == second.stdout
+    assert "folder:  demo" in first.stdout
+
+
+def test_bench_writes_json(tmp_path):
+    done = cicatrix("bench", "checkpoint", "--json", "b.json", cwd=tmp_path)
+    assert done.returncode == 0
+    rows = json.loads((tmp_path / "b.json").read_text())["checkpoint"]
+    assert {"what", "value", "unit", "note"} == set(rows[0])
+    assert any(row["note"] == "ceiling" for row in rows)

@@ -1,0 +1,236 @@
+"""Every kind of bad input, typed as a real file: one sentence each that names the key."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from cicatrix.core.errors import InputError
+from cicatrix.io.cases import apply_overrides, case_table, check_case, input_files, load_case
+from cicatrix.study.case import LumpectomyCase
+
+# The example of the interface page, word for word.
+INTERFACE_EXAMPLE = """\
+kind = "lumpectomy"
+dimension = 2                        # 2 (plane strain slice) or 3
+[image]
+path = "breast.nii.gz"               # NIfTI, NRRD, MHA, or a DICOM folder; or phantom = "half-ellipsoid"
+weighting = "t1"                     # "t1" (fat bright) or "t1-fatsat"
+position = "prone"                   # how she lay: prone | supine | upright
+side = "left"                        # left | right
+slice_mm = 12.0                      # dimension 2: axial position; left out = through the resection
+labels = "labels.nii.gz"             # optional: skip segmentation, use these (0 air 1 fat 2 gland 3 skin 4 tumour)
+[tissue.fat]                         # also tissue.gland, tissue.skin; defaults documented with their sources
+E_kPa = 3.25
+nu = 0.495
+density_kg_m3 = 930.0
+[resection]
+centre_mm = [42.0, -80.0, 12.0]      # image coordinates (LPS); left out = the tumour label's centroid
+radius_mm = 12.0
+margin_mm = 5.0
+[healing]
+model = "automaton"                  # or "fields"
+deposition = "unloaded"              # or "loaded": new tissue is stress-free where it is laid down
+contraction_kPa = 0.0                # scar contraction
+pitch_um = 10.0                      # automaton; a coarser pitch keeps the front's speed in mm/day
+hours_per_step = 15.0                # at 10 um
+p_edge = 0.2                         # p_edge, p_layer, layer_um: defaults calibrated to the clinic's closure times
+p_layer = 0.1
+layer_um = 400.0
+feedback = 1.0                       # F(W) = feedback * W / W_ref, W_ref = mean over the fresh wound edge
+[coupling]
+mode = "two-way"                     # or "one-way" (F = 0)
+days_per_cycle = 7.0                 # one mechanical solve per so many days of healing
+healing_position = "upright"
+[outcome]
+positions = ["upright", "supine"]
+visits_weeks = [2, 6, 10, 26]
+[run]
+seed = 1
+max_weeks = 52
+"""
+PHANTOM = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n'
+
+
+@pytest.fixture
+def write(tmp_path):
+    def _write(text: str) -> Path:
+        path = tmp_path / "case.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return _write
+
+
+def test_interface_example_loads(write, tmp_path):
+    for name in ("breast.nii.gz", "labels.nii.gz"):
+        (tmp_path / name).touch()
+    case = load_case(write(INTERFACE_EXAMPLE))
+    assert case.image.path == (tmp_path / "breast.nii.gz").resolve()
+    assert case.resection.centre_mm == (42.0, -80.0, 12.0)
+    assert case.outcome.visits_weeks == (2.0, 6.0, 10.0, 26.0)
+    assert set(input_files(case)) == {"image.path", "image.labels"}
+    assert case_table(case)["image"]["path"] == "breast.nii.gz"  # no folder names in a manifest
+
+
+def test_case_is_frozen_and_comparable(write):
+    first, second = load_case(write(PHANTOM)), load_case(write(PHANTOM))
+    assert first == second
+    assert isinstance(first, LumpectomyCase)
+    with pytest.raises(ValueError):
+        first.run.seed = 3  # pyright: ignore
+
+
+FAULTS = {
+    "nu at one half": ("[tissue.fat]\nnu = 0.5", "tissue.fat.nu must be at least 0 and below 0.5; got 0.5"),
+    "negative nu": ("[tissue.skin]\nnu = -0.1", "tissue.skin.nu must be at least 0 and below 0.5; got -0.1"),
+    "negative stiffness": ("[tissue.gland]\nE_kPa = -1.0", "tissue.gland.E_kPa must be above 0; got -1.0"),
+    "infinite stiffness": ("[tissue.scar]\nE_kPa = inf", "tissue.scar.E_kPa must be a finite number; got inf"),
+    "radius zero": ("[resection]\nradius_mm = 0", "resection.radius_mm must be above 0; got 0"),
+    "negative margin": ("[resection]\nmargin_mm = -1", "resection.margin_mm must be at least 0; got -1"),
+    "flat centre": ("[resection]\ncentre_mm = [1, 2]", "resection.centre_mm must be a list of 3 numbers; got [1, 2]"),
+    "unknown mode": ('[coupling]\nmode = "both"', 'coupling.mode must be "one-way" or "two-way"; got "both"'),
+    "no days": ("[coupling]\ndays_per_cycle = 0.0", "coupling.days_per_cycle must be above 0; got 0.0"),
+    "cycle below a step": (
+        "[coupling]\ndays_per_cycle = 0.5",
+        "coupling.days_per_cycle must hold at least one automaton step (0.625 days at this pitch); got 0.5",
+    ),
+    "nan": ("[healing]\npitch_um = nan", "healing.pitch_um must be above 0; got nan"),
+    "probability": ("[healing]\np_edge = 1.5", "healing.p_edge must be at least 0 and at most 1; got 1.5"),
+    "thin layer": ("[healing]\nlayer_um = 5.0", "healing.layer_um must be at least pitch_um (10); got 5"),
+    "visits": ("[outcome]\nvisits_weeks = [6, 2]", "outcome.visits_weeks must ascend; got [6, 2]"),
+    "position": (
+        '[outcome]\npositions = ["flat"]',
+        'outcome.positions[0] must be "prone", "supine" or "upright"; got "flat"',
+    ),
+    "text for number": ('[run]\nmax_weeks = "long"', 'run.max_weeks must be a number; got "long"'),
+    "fraction for count": ("[run]\nseed = 1.5", "run.seed must be a whole number; got 1.5"),
+    "truth for number": ("[tissue.fat]\nE_kPa = true", "tissue.fat.E_kPa must be a number; got true"),
+    "number for table": ("tissue = 3", "tissue must be a table; got 3"),
+    "number for list": ("[outcome]\npositions = 3", "outcome.positions must be a list; got 3"),
+    "near key": ("[healing]\npitch_mm = 1", "healing.pitch_mm is not a known key; did you mean healing.pitch_um?"),
+    "wrong case": ("[tissue.fat]\ne_kpa = 1", "tissue.fat.e_kpa is not a known key; did you mean tissue.fat.E_kPa?"),
+    "wrong table": (
+        "[healing]\nradius_mm = 1",
+        "healing.radius_mm is not a known key; did you mean resection.radius_mm?",
+    ),
+    "strange key": ("[run]\nxyz = 1", "run.xyz is not a known key; known in [run]: seed, max_weeks"),
+    "mesh": (
+        "[mesh]\ncavity_edge_mm = 9.0",
+        "mesh.cavity_edge_mm must be at most edge_mm (3); got 9",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", FAULTS)
+def test_one_fault_one_sentence(name, write):
+    lines, sentence = FAULTS[name]
+    head, rest = ('kind = "lumpectomy"\n' + lines + "\n", "") if not lines.startswith("[") else (PHANTOM, lines)
+    image = "" if lines.startswith("[") else '[image]\nphantom = "half-ellipsoid"\n'
+    assert check_case(write(head + image + rest)) == [sentence]
+
+
+def test_chest_wall_is_a_plane_or_points(write):
+    wall = PHANTOM + "[image.chest_wall]\n"
+    assert check_case(write(wall + "point_mm = [0, 0, 0]\nnormal = [0, -1, 0]")) == []
+    assert check_case(write(wall + "points_mm = [[0, 0, 0], [1, 0, 0]]")) == []
+    assert "belong together" in check_case(write(wall + "point_mm = [0, 0, 0]"))[0]
+    assert "not be zero" in check_case(write(wall + "point_mm = [0, 0, 0]\nnormal = [0, 0, 0]"))[0]
+    assert check_case(write(wall + "points_mm = [[0, 0], [1, 0]]"))[0].startswith("image.chest_wall.points_mm[0] must")
+
+
+def test_image_has_one_origin(write, tmp_path):
+    (tmp_path / "a.nii").touch()
+    both = check_case(write(PHANTOM + 'path = "a.nii"'))
+    assert both == ["image.phantom and path exclude each other: give one of the two"]
+    assert "image.path is missing" in check_case(write('kind = "lumpectomy"\n[image]\nside = "left"'))[0]
+    assert check_case(write('kind = "lumpectomy"')) == ["image is missing"]
+
+
+def test_every_fault_is_reported(write):
+    text = PHANTOM + "[tissue.fat]\nnu = 0.5\nE_kPa = -1.0\n[run]\nsed = 1\n[healing]\np_edge = 2.0\n"
+    assert len(check_case(write(text))) == 4
+    with pytest.raises(InputError, match=r"tissue\.fat\.E_kPa .*\(and 3 more: cicatrix check "):
+        load_case(write(text))
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("kind = = 1\nx = 1", "is not valid TOML: .*line 1, column 8"),
+        ("", 'kind is missing; a case file starts with kind = "lumpectomy"'),
+        ('kind = "mastectomy"', 'kind must be "lumpectomy"; got "mastectomy"'),
+        ("kind = 3", 'kind must be "lumpectomy"; got 3'),
+    ],
+)
+def test_no_case_at_all(text, words, write):
+    with pytest.raises(InputError, match=words):
+        load_case(write(text))
+
+
+def test_unreadable_case_files(tmp_path):
+    assert check_case(tmp_path / "none.toml") == ["there is no such case file"]
+    assert check_case(tmp_path) == ["is a folder; a case file is needed"]
+    (tmp_path / "binary.toml").write_bytes(b"\x1f\x8b\xff")
+    assert "not a text file" in check_case(tmp_path / "binary.toml")[0]
+
+
+def test_missing_image_is_a_fault_beside_others(write, tmp_path):
+    faults = check_case(write('kind = "lumpectomy"\n[image]\npath = "no.nii"\n[run]\nseed = -1\n'))
+    assert len(faults) == 2
+    assert faults[1] == f"image.path names {tmp_path / 'no.nii'}, but there is no such file or folder"
+
+
+@pytest.mark.parametrize("path", ["", "data:", " "])
+def test_empty_path_is_not_the_folder_of_the_case(path, write):
+    faults = check_case(write(f'kind = "lumpectomy"\n[image]\npath = "{path}"\n'))
+    assert faults == ["image.path must name a file or folder; got an empty text"]
+
+
+def test_data_prefix(write, tmp_path, monkeypatch):
+    text = 'kind = "lumpectomy"\n[image]\npath = "data:a.nii.gz"\n'
+    (tmp_path / "images").mkdir()
+    (tmp_path / "images" / "a.nii.gz").touch()
+    monkeypatch.setenv("CICATRIX_DATA", str(tmp_path / "images"))
+    assert load_case(write(text)).image.path == (tmp_path / "images" / "a.nii.gz").resolve()
+    monkeypatch.setenv("CICATRIX_DATA", str(tmp_path / "nowhere"))
+    assert "which is no folder" in check_case(write(text))[0]
+
+
+def test_data_beside_the_project(tmp_path, monkeypatch):
+    monkeypatch.delenv("CICATRIX_DATA", raising=False)
+    project, data = tmp_path / "project", tmp_path / "shared" / "data"
+    (project / "examples").mkdir(parents=True)
+    data.mkdir(parents=True)
+    (project / "pyproject.toml").touch()
+    (data / "a.nii.gz").touch()
+    path = project / "examples" / "case.toml"
+    path.write_text('kind = "lumpectomy"\n[image]\npath = "data:a.nii.gz"\n')
+    assert load_case(path).image.path == data / "a.nii.gz"
+
+
+def test_overrides(write):
+    settings = ["run.seed=7", "coupling.mode=one-way", "resection.centre_mm=[1.0, 2.0, 3.0]", "run.seed=8"]
+    case = load_case(write(PHANTOM), settings)
+    assert (case.run.seed, case.coupling.mode, case.resection.centre_mm) == (8, "one-way", (1.0, 2.0, 3.0))
+    raw = {"run": {"seed": 1}}
+    assert apply_overrides(raw, ["run.seed=2"]) == {"run": {"seed": 2}}
+    assert raw == {"run": {"seed": 1}}
+
+
+@pytest.mark.parametrize("setting", ["run.seed", "=3", "run..seed=3", "run.seed.x=3"])
+def test_bad_overrides(setting, write):
+    with pytest.raises(InputError, match="--set"):
+        load_case(write(PHANTOM + "[run]\nseed = 1\n"), [setting])
+
+
+def test_override_with_unknown_key_and_injected_table(write):
+    assert check_case(write(PHANTOM), ["run.sead=3"]) == ["run.sead is not a known key; did you mean run.seed?"]
+    assert len(check_case(write(PHANTOM), ["run.seed=3\nkind = 4"])) == 1
+
+
+@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root reads everything")
+def test_forbidden_file(write):
+    path = write(PHANTOM)
+    path.chmod(0)
+    assert "cannot be read" in check_case(path)[0]
