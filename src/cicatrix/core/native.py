@@ -27,4 +27,4 @@ _kernels = _compiled()
 is_native = _kernels is not None
 
 philox4x32 = _kernels.philox4x32 if _kernels is not None else philox.philox4x32
-# The automaton's step takes its seat here: twin healing.automaton (higher up, so it will be handed its kernel from here).
+# The automaton's step takes its seat here; its twin is healing/automaton.py.
