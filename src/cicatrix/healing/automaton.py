@@ -133,7 +133,7 @@ class Automaton:
 
     Notes
     -----
-    Limits: a wound that is closed, or was never open, stays as it is (the step is counted). A wound may touch the frame.
+    Limits: a wound that is closed, or was never open, stays as it is (the step is counted). It may touch the frame.
     A pocket of the wound that no cell borders stays empty, except that motility may fill it.
     """
 
@@ -230,8 +230,8 @@ def divide_at_edge(
 ) -> tuple[np.ndarray, int]:
     """Edge division: (size,) bool -> (size,) bool and the number of divisions.
 
-    A cell with enough free neighbours divides with probability p_edge into one of them, all equally likely. Where several
-    choose the same site it is filled once, and the divisions of the others did not happen.
+    A cell with enough free neighbours divides with probability p_edge into one of them, all equally likely. Where
+    several choose the same site it is filled once, and the divisions of the others did not happen.
     """
     free = window.fillable & ~occupied
     cells = np.flatnonzero(window.beside(free) & occupied)

@@ -70,7 +70,7 @@ class _Descent:
         self._open_paths(sites)
 
     def walk(self, tokens: np.ndarray, reach: int | None) -> np.ndarray:
-        """Move tokens (n,) to the empty sites they belong to: flat indices (m,); those without a path are left out.
+        """Move tokens (n,) to their empty sites: flat indices (m,), without the tokens that have no path.
 
         The field is solved within ``reach`` hops of the tokens (None: in the whole layer). A path that leaves this range
         costs at least HOP_COST (reach + 1), so smaller values are exact; the range is doubled for the other tokens.
@@ -129,18 +129,19 @@ def level_set(
 
     A wound component is a connected piece of the fillable sites within ``reach`` hops of an empty site: the open region
     with the tissue around it, ``reach`` being the larger of the layer's thickness and the sub-steps. Its count is its
-    cells before, plus its divisions in this step, at most its number of sites; what exceeds it is dropped. Wounds whose
-    surroundings touch are one component, with one common count; they part when their surroundings no longer touch.
+    cells before, plus its divisions in this step, at most its number of sites; what exceeds it is dropped. A component
+    without divisions stays as it is. Wounds whose surroundings touch are one component, with one common count; they
+    part when their surroundings no longer touch.
     """
     zone = window.within(window.fillable & ~occupied, reach) & window.fillable
     u = diffuse(window, occupied, n_substeps)
     result = occupied.copy()
     for sites in _components(window, zone):
-        count = np.count_nonzero(occupied[sites]) + np.count_nonzero(np.isin(parents, sites, kind="table"))
-        result[sites] = False
-        if count:
-            kept = largest(window, u, sites, min(int(count), sites.size), seed, step, Phase.REDISTRIBUTION_TIE)[1]
-            result[kept] = True
+        n_new = int(np.count_nonzero(np.isin(parents, sites)))
+        if n_new:
+            count = min(int(np.count_nonzero(occupied[sites])) + n_new, sites.size)
+            result[sites] = False
+            result[largest(window, u, sites, count, seed, step, Phase.REDISTRIBUTION_TIE)[1]] = True
     return result
 
 
