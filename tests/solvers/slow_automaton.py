@@ -88,9 +88,14 @@ class SlowStep:
     def cost(self, s):
         return 64 + self.word(s, PATH) * (int(64 * self.rules.path_noise) + 1) // 2**32
 
+    def settle(self, s, cells):
+        unit = 48 // len(NEIGHBOURS[self.ndim])
+        n_free = sum(q not in cells for q in self.around(s))
+        return unit * n_free + self.word(s, PATH, 1) * unit // 2**32
+
     def distance(self, paths, cells):
         far = 10**9
-        d = dict.fromkeys(self.sites, far) | dict.fromkeys(self.sites - cells, 0)
+        d = dict.fromkeys(self.sites, far) | {s: self.settle(s, cells) for s in self.sites - cells}
         while True:
             new = {s: min([d[q] for q in self.around(s)], default=far) + self.cost(s) for s in paths}
             new = {s: min(v, far) for s, v in new.items()}
@@ -106,7 +111,7 @@ class SlowStep:
             for s in tokens:
                 if d[s] >= far:
                     continue
-                while d[s] > 0:
+                while s in cells:
                     s = min(self.around(s), key=lambda q: d[q])  # the first of equals, in the order of NEIGHBOURS
                 at.append(s)
             tokens = list(at)

@@ -16,7 +16,8 @@ from ..core.random import Phase, below, site_words
 from .motility import diffuse, largest
 from .window import Window
 
-HOP_COST = 64  # cost of entering one site without noise
+HOP_COST = 64  # cost of one occupied site of a path, without noise
+SETTLE_COST = 48  # cost of settling where no neighbour is occupied
 FAR = np.int32(1 << 30)
 
 
@@ -25,13 +26,15 @@ def route(
 ) -> np.ndarray:
     """Send every daughter to an empty site along a noisy shortest path: (size,) bool -> (size,) bool.
 
-    The cost of a site is 64 plus a whole number drawn from 0 .. floor(64 noise) by (site, step); the field d is the
-    least cost over the occupied sites of the path to an empty site. A token steps to the neighbour with the smallest d
-    (the first in the lattice's order among equals) until it stands on an empty site. Of the tokens at one empty site,
-    one stays; the site counts as occupied and the others walk on in the next round, in the field of the sites still
-    empty. The paths use the layer and the sites filled in this redistribution only; tokens without such a path are
-    dropped, and so are the divisions that made them. All tokens of a round move at once and only their number per site
-    matters, so the order in which they are treated cannot.
+    The cost of an occupied site is 64 plus a whole number drawn from 0 .. floor(64 noise) by (site, step). Settling at
+    an empty site costs less than a hop, but the more the fewer neighbours it has: s for each free neighbour (s = 48
+    over the number of neighbours) plus a draw from 0 .. s - 1. Without it, a token that is pushed on chooses blindly among
+    the empty sites beside it, and the front grows fingers. The field d is the least cost of a path to an empty site.
+    A token steps to the neighbour with the smallest d (the first in the lattice's order among equals) until it stands
+    on an empty site. Of the tokens at one empty site, one stays; the site counts as occupied and the others walk on in
+    the next round, in the field of the sites still empty. The paths use the layer and the sites filled in this
+    redistribution only; tokens without such a path are dropped, and so are the divisions that made them. All tokens of
+    a round move at once and only their number per site matters, so the order in which they are treated cannot.
 
     Parameters
     ----------
@@ -54,7 +57,8 @@ class _Descent:
     def __init__(self, window: Window, occupied: np.ndarray, layer: np.ndarray, noise: float, seed: int, step: int):
         self.window, self.noise, self.seed, self.step = window, noise, seed, step
         self.occupied = occupied.copy()
-        self.distance = np.where(window.fillable & ~occupied, np.int32(0), FAR)
+        self.free = window.fillable & ~occupied
+        self.distance = np.full(occupied.size, FAR)
         self.cost = np.zeros(occupied.size, np.int32)  # 0: no path leads through here
         self._open_paths(layer)
         self.layer = layer
@@ -64,15 +68,22 @@ class _Descent:
         self.cost[sites] = HOP_COST + below(word, int(HOP_COST * self.noise) + 1)
         self.distance[sites] = FAR
 
+    def _price(self, sites: np.ndarray) -> None:
+        """Set d at empty sites: the fewer occupied neighbours, the dearer to settle there."""
+        unit = SETTLE_COST // len(self.window.shifts)
+        n_free = self.free[sites + self.window.shifts[:, None]].sum(axis=0)
+        word = site_words(self.seed, self.window.site(sites), self.step, Phase.PATH_COST)[:, 1]
+        self.distance[sites] = unit * n_free + below(word, unit)
+
     def fill(self, sites: np.ndarray) -> None:
         """Let one cell settle at each of these empty sites."""
-        self.occupied[sites] = True
+        self.occupied[sites], self.free[sites] = True, False
         self._open_paths(sites)
 
     def walk(self, tokens: np.ndarray, reach: int | None) -> np.ndarray:
         """Move tokens (n,) to their empty sites: flat indices (m,), without the tokens that have no path.
 
-        The field is solved within ``reach`` hops of the tokens (None: in the whole layer). A path that leaves this range
+        The field is solved within ``reach`` hops of the tokens (None: the whole layer). A path that leaves this range
         costs at least HOP_COST (reach + 1), so smaller values are exact; the range is doubled for the other tokens.
         """
         done = []
@@ -104,6 +115,7 @@ class _Descent:
     def _solve(self, sites: np.ndarray) -> None:
         """Relax d(s) = cost(s) + min over neighbours d until it stands (Bellman-Ford; the solution is unique)."""
         around, cost = sites + self.window.shifts[:, None], self.cost[sites]
+        self._price(np.unique(around[self.free[around]]))
         while True:
             best = np.minimum(self.distance[around].min(axis=0) + cost, FAR)
             if (best == self.distance[sites]).all():
@@ -113,12 +125,12 @@ class _Descent:
     def _descend(self, tokens: np.ndarray) -> np.ndarray:
         """Walk tokens that have a path down to the empty sites."""
         tokens = tokens.copy()
-        walking = np.flatnonzero(self.distance[tokens] > 0)
+        walking = np.flatnonzero(~self.free[tokens])
         while walking.size:
             around = tokens[walking] + self.window.shifts[:, None]
             steepest = self.distance[around].argmin(axis=0)
             tokens[walking] += self.window.shifts[steepest]
-            walking = walking[self.distance[tokens[walking]] > 0]
+            walking = walking[~self.free[tokens[walking]]]
         return tokens
 
 
