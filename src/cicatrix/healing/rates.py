@@ -27,8 +27,8 @@ CELL_UM = 10.0  # the pitch at which one site is one cell, and at which the rate
 # Calibrated to the clinic's closure times: docs/decisions/0005-closure-rates.md, papers/clinic-closure.
 HOURS_PER_STEP = 15.0
 P_EDGE = 0.2
-P_LAYER = 0.1
-LAYER_UM = 400.0
+P_LAYER = 0.035
+LAYER_UM = 1200.0
 MOTILITY_SUBSTEPS = 8
 
 
@@ -61,6 +61,8 @@ def rules_at_pitch(
     """
     if not (np.isfinite(pitch_um) and pitch_um > 0):
         raise InputError(f"pitch_um must be positive; got {pitch_um}")
+    if not (np.isfinite(layer_um) and layer_um >= 0):
+        raise InputError(f"layer_um must be zero or positive; got {layer_um}")
     scale = pitch_um / CELL_UM
     if not p_layer * scale <= 1:
         raise InputError(

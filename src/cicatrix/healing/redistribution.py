@@ -27,8 +27,8 @@ def route(
     """Send every daughter to an empty site along a noisy shortest path: (size,) bool -> (size,) bool.
 
     The cost of an occupied site is 64 plus a whole number drawn from 0 .. floor(64 noise) by (site, step). Settling at
-    an empty site costs less than a hop, but the more the fewer neighbours it has: s for each free neighbour (s = 48
-    over the number of neighbours) plus a draw from 0 .. s - 1. Without it, a token that is pushed on chooses blindly among
+    an empty site costs less than a hop, but the more the fewer cells it touches: s for each free neighbour, s = 48 over
+    the number of neighbours, plus a draw from 0 .. s - 1. Without it, a token that is pushed on chooses blindly among
     the empty sites beside it, and the front grows fingers. The field d is the least cost of a path to an empty site.
     A token steps to the neighbour with the smallest d (the first in the lattice's order among equals) until it stands
     on an empty site. Of the tokens at one empty site, one stays; the site counts as occupied and the others walk on in
