@@ -63,7 +63,7 @@ def test_level_set_teleports_and_routing_does_not(n_substeps):
 
 
 def test_front_speeds_up_as_the_wound_shrinks():
-    """v = p delta (1 + delta / 2R), delta the thickness of the layer (0.3 mm): factor 1.18 at 0.85 mm, 1.5 at 0.3 mm."""
+    """v = p delta (1 + delta / 2R), delta = 0.3 mm the layer: factor 1.18 at 0.85 mm, 1.5 at 0.3 mm."""
     rules = AutomatonRules(p_edge=0.0, p_layer=0.04, layer_sites=30)
     radius = np.sqrt(open_measures(disc(1.0, 0.01, rules)) / np.pi)
     steps = np.arange(radius.size)

@@ -124,7 +124,7 @@ class Lattice:
     def contains(self, index: np.ndarray) -> np.ndarray:
         """Whether site indices lie on the lattice: (..., n) int -> (...) bool."""
         index = np.asarray(index)
-        return ((index >= 0) & (index < np.array(self.shape))).all(axis=-1)
+        return np.asarray(((index >= 0) & (index < np.array(self.shape))).all(axis=-1))
 
     def ball(self, radius_sites: int) -> np.ndarray:
         """Offsets within a hop distance, itself included: (n_offsets, n) int64."""

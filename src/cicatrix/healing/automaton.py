@@ -188,9 +188,12 @@ class Automaton:
         is_open = self.fillable & ~state.occupancy
         if not is_open.any():
             return AutomatonState(state.occupancy.copy(), state.step + 1)
-        window = Window.around(self.lattice, self.fillable, is_open, self._margin)
-        new = self._step_in(window, state, chance)
-        return new or self._step_in(Window.whole(self.lattice, self.fillable), state, chance)
+        new = self._step_in(Window.around(self.lattice, self.fillable, is_open, self._margin), state, chance)
+        if new is None:
+            new = self._step_in(Window.whole(self.lattice, self.fillable), state, chance)
+        if new is None:
+            raise InvariantError(f"the whole lattice was called too narrow for the automaton's step {state.step}")
+        return new
 
     @property
     def _margin(self) -> int:

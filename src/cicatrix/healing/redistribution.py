@@ -19,6 +19,7 @@ from .window import Window
 HOP_COST = 64  # cost of one occupied site of a path, without noise
 SETTLE_COST = 48  # cost of settling where no neighbour is occupied
 FAR = np.int32(1 << 30)
+WHOLE_LAYER = 0  # as a reach: no limit, for the first round
 
 
 def route(
@@ -42,7 +43,7 @@ def route(
         Flat indices of the cells of the active layer, and of those that divide (one token each).
     """
     descent = _Descent(window, occupied, layer, noise, seed, step)
-    tokens, reach = parents, None
+    tokens, reach = parents, WHOLE_LAYER
     while tokens.size:
         tokens = descent.walk(tokens, reach)
         landed, counts = np.unique(tokens, return_counts=True)
@@ -80,10 +81,10 @@ class _Descent:
         self.occupied[sites], self.free[sites] = True, False
         self._open_paths(sites)
 
-    def walk(self, tokens: np.ndarray, reach: int | None) -> np.ndarray:
+    def walk(self, tokens: np.ndarray, reach: int) -> np.ndarray:
         """Move tokens (n,) to their empty sites: flat indices (m,), without the tokens that have no path.
 
-        The field is solved within ``reach`` hops of the tokens (None: the whole layer). A path that leaves this range
+        The field is solved within ``reach`` hops of the tokens, or in the whole layer. A path that leaves this range
         costs at least HOP_COST (reach + 1), so smaller values are exact; the range is doubled for the other tokens.
         """
         done = []
@@ -98,9 +99,9 @@ class _Descent:
             tokens, reach = tokens[~known], 2 * reach
         return np.concatenate(done) if done else tokens
 
-    def _near(self, tokens: np.ndarray, reach: int | None) -> tuple[np.ndarray, bool]:
+    def _near(self, tokens: np.ndarray, reach: int) -> tuple[np.ndarray, bool]:
         """Path sites within ``reach - 1`` hops of the tokens along paths, and whether there are no more to find."""
-        if reach is None:
+        if reach == WHOLE_LAYER:
             return self.layer, True
         ring = near = np.unique(tokens)
         seen = np.zeros(self.cost.size, bool)
