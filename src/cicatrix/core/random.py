@@ -1,0 +1,48 @@
+"""Random numbers with a name: a draw belongs to (seed, site, step, phase) and to nothing else."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+import numpy as np
+
+from .native import philox4x32
+
+__all__ = ["MAX_SEED", "ONE", "Phase", "below", "philox4x32", "site_words", "threshold"]
+
+MAX_SEED = 2**64 - 1
+ONE = 1 << 32  # probability 1 on the scale of one 32-bit word
+
+
+class Phase(IntEnum):
+    """What a draw is for; the numbers are part of the specification, never reuse one."""
+
+    EDGE_DIVISION = 0
+    MOTILITY_TIE = 1
+    LAYER_DIVISION = 2
+    PATH_COST = 3
+    REDISTRIBUTION_TIE = 4
+
+
+def site_words(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarray:
+    """Four random words per site: sites (...) [index] -> (..., 4) uint32.
+
+    Key = (seed low, seed high), counter = (site low, site high, step, phase).
+    """
+    site = np.asarray(site).astype(np.uint64)
+    counter = np.empty((*site.shape, 4), np.uint32)
+    counter[..., 0] = site & np.uint64(0xFFFFFFFF)
+    counter[..., 1] = site >> np.uint64(32)
+    counter[..., 2] = step & 0xFFFFFFFF
+    counter[..., 3] = int(phase)
+    return philox4x32(counter, np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32))
+
+
+def threshold(probability: np.ndarray | float) -> np.ndarray:
+    """Integer form of a probability: (...) in [0, 1] -> (...) uint64; an event happens where word < threshold."""
+    return np.floor(np.asarray(probability, float) * ONE).astype(np.uint64)
+
+
+def below(word: np.ndarray, n: np.ndarray | int) -> np.ndarray:
+    """Integer in [0, n) from a 32-bit word, floor(word n / 2^32): (...) uint32 -> (...) int64."""
+    return ((word.astype(np.uint64) * np.asarray(n, np.uint64)) >> np.uint64(32)).astype(np.int64)

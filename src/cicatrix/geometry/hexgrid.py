@@ -1,0 +1,142 @@
+"""Cell-sized lattices: hexagonal (2-D, root lattice A2) and face-centred cubic (3-D, root lattice A3) by the same code.
+
+Axial storage: site ``i`` (one integer per axis) sits at ``origin + i @ basis``. The basis vectors are as long as the
+pitch and meet at 60 degrees, so the nearest neighbours are exactly +-e_i and e_i - e_j: 6 in 2-D, 12 in 3-D.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+
+from ..core.errors import InputError
+
+MAX_SITES = 2**40
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """A block of sites in axial storage.
+
+    Parameters
+    ----------
+    shape : tuple of 2 or 3 int
+        Sites along each axial axis; the last axis runs along x.
+    pitch_mm : float
+        Distance of nearest neighbours [mm].
+    origin_mm : tuple of 2 or 3 float
+        Position of site 0 as x, y (, z) [mm].
+
+    Raises
+    ------
+    InputError
+        If a size is not positive, or the numbers do not fit together.
+    """
+
+    shape: tuple[int, ...]
+    pitch_mm: float
+    origin_mm: tuple[float, ...]
+
+    def __post_init__(self):
+        if len(self.shape) not in (2, 3) or any(int(n) != n or n < 1 for n in self.shape):
+            raise InputError(f"Lattice.shape must be two or three positive counts of sites; got {self.shape}")
+        if self.n_sites > MAX_SITES:
+            raise InputError(f"Lattice.shape {self.shape} holds {self.n_sites} sites; at most {MAX_SITES} are possible")
+        if not (np.isfinite(self.pitch_mm) and self.pitch_mm > 0):
+            raise InputError(f"Lattice.pitch_mm must be positive; got {self.pitch_mm}")
+        if len(self.origin_mm) != self.ndim or not np.isfinite(self.origin_mm).all():
+            raise InputError(f"Lattice.origin_mm must be {self.ndim} finite numbers; got {self.origin_mm}")
+
+    @classmethod
+    def covering(cls, low_mm: np.ndarray, high_mm: np.ndarray, pitch_mm: float) -> Lattice:
+        """Smallest lattice with site 0 at ``low`` modulo the pitch whose sites cover the box: low, high (n,) [mm].
+
+        Every point of the box has all the sites around it (``nearest`` never clips there). The block is sheared, so
+        part of its sites lies outside the box.
+        """
+        low, high = np.asarray(low_mm, float), np.asarray(high_mm, float)
+        if low.ndim != 1 or low.shape != high.shape or low.size not in (2, 3):
+            raise InputError(f"the corners of a box must have two or three numbers each; got {low_mm} and {high_mm}")
+        if not (high > low).all():
+            raise InputError(f"a box to cover with sites must have low < high on every axis; got {low_mm} to {high_mm}")
+        unit = cls((1,) * low.size, pitch_mm, tuple(low.tolist()))
+        index = unit.index(np.array(list(product(*zip(low, high)))))
+        first, last = np.floor(index.min(axis=0) - 1e-9), np.ceil(index.max(axis=0) + 1e-9)
+        origin = tuple(unit.position(first).tolist())
+        return cls(tuple(int(n) for n in last - first + 1), pitch_mm, origin)
+
+    @property
+    def ndim(self) -> int:
+        """Number of dimensions, 2 or 3."""
+        return len(self.shape)
+
+    @property
+    def n_sites(self) -> int:
+        """Number of sites."""
+        return int(np.prod([int(n) for n in self.shape], dtype=object))
+
+    @cached_property
+    def basis_mm(self) -> np.ndarray:
+        """Basis vectors as rows: (n, n) [mm]; lengths = pitch, mutual angles 60 degrees, the last one along x."""
+        gram = (np.ones((self.ndim, self.ndim)) + np.eye(self.ndim)) / 2
+        return self.pitch_mm * np.linalg.cholesky(gram)[::-1]
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """Offsets of the nearest neighbours, in the fixed order of the specification: (6, 2) or (12, 3) int."""
+        e = np.eye(self.ndim, dtype=np.int64)
+        straight = [sign * v for v in e for sign in (1, -1)]
+        across = [e[i] - e[j] for i in range(self.ndim) for j in range(self.ndim) if i != j]
+        return np.array(straight + across)
+
+    @property
+    def site_measure(self) -> float:
+        """Area (2-D: sqrt(3)/2 pitch^2) [mm2] or volume (3-D: pitch^3/sqrt(2)) [mm3] of one site."""
+        return float(abs(np.linalg.det(self.basis_mm)))
+
+    def position(self, index: np.ndarray) -> np.ndarray:
+        """Positions: site indices (..., n) -> (..., n) x, y (, z) [mm]."""
+        return np.asarray(index, float) @ self.basis_mm + np.asarray(self.origin_mm)
+
+    def positions(self) -> np.ndarray:
+        """Positions of all sites: (*shape, n) [mm]."""
+        return self.position(np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), axis=-1))
+
+    def index(self, points_mm: np.ndarray) -> np.ndarray:
+        """Fractional site indices: points (..., n) [mm] -> (..., n) [1]."""
+        return (np.asarray(points_mm, float) - np.asarray(self.origin_mm)) @ np.linalg.inv(self.basis_mm)
+
+    def nearest(self, points_mm: np.ndarray) -> np.ndarray:
+        """Find the nearest sites: points (..., n) [mm] -> (..., n) int64; not clipped to the lattice.
+
+        The lattice cell around a point is a 60-degree parallelepiped, and the nearest site is one of its corners.
+        """
+        fractional = self.index(points_mm)
+        low = np.floor(fractional)
+        corners = np.array(list(product((0.0, 1.0), repeat=self.ndim)))
+        gap = (fractional - low)[..., None, :] - corners
+        nearest = np.argmin(((gap @ self.basis_mm) ** 2).sum(axis=-1), axis=-1)
+        return (low + corners[nearest]).astype(np.int64)
+
+    def contains(self, index: np.ndarray) -> np.ndarray:
+        """Whether site indices lie on the lattice: (..., n) int -> (...) bool."""
+        index = np.asarray(index)
+        return np.asarray(((index >= 0) & (index < np.array(self.shape))).all(axis=-1))
+
+    def ball(self, radius_sites: int) -> np.ndarray:
+        """Offsets within a hop distance, itself included: (n_offsets, n) int64."""
+        axis = np.arange(-radius_sites, radius_sites + 1)
+        cube = np.stack(np.meshgrid(*[axis] * self.ndim, indexing="ij"), axis=-1).reshape(-1, self.ndim)
+        return cube[hops(cube) <= radius_sites]
+
+
+def hops(offset: np.ndarray) -> np.ndarray:
+    """Count the steps between neighbours that cover an offset: (..., n) int -> (...) int.
+
+    A step +-e_i or e_i - e_j raises the positive part by at most one and the negative part by at most one.
+    """
+    offset = np.asarray(offset)
+    return np.maximum(np.maximum(offset, 0).sum(axis=-1), np.maximum(-offset, 0).sum(axis=-1))

@@ -1,0 +1,80 @@
+"""Cell motility: diffuse the occupancy in integers, then keep the level set that holds the wanted number of cells.
+
+Source: Garbey et al., section 3.1 ("Cell Motility"). Here the diffusion is done in integers, so that every machine
+finds the same bits: U' = (2 U + sum of 6 neighbours + 4) >> 3 from 8191 in 2-D, U' = (4 U + sum of 12 + 8) >> 4 from
+4095 in 3-D. The masked sites and the frame carry no flux: a missing neighbour counts as the site's own value.
+
+One sub-step moves information by one hop, so outside a band of n sub-steps around the front U is still 0 or bulk there,
+and the level set of the band is the level set of the lattice as long as 0 < U0 < bulk.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.random import Phase, site_words
+from .window import Window
+
+BULK = {2: 8191, 3: 4095}  # U of an undisturbed cell: 13 and 12 bits, so that the sums fit into 16 bits
+OWN_WEIGHT = {2: 2, 3: 4}
+SHIFT = {2: 3, 3: 4}
+
+
+def diffuse(window: Window, occupied: np.ndarray, n_substeps: int) -> np.ndarray:
+    """Integer density after ``n_substeps``: (size,) bool -> (size,) uint16, 0 at sites that cannot be filled."""
+    ndim = window.lattice.ndim
+    u = occupied.astype(np.uint16) * np.uint16(BULK[ndim])
+    reach = int(abs(window.shifts).max())
+    inner = slice(reach, u.size - reach)
+    fillable = window.fillable.astype(np.uint16)
+    own = np.uint16(OWN_WEIGHT[ndim] + len(window.shifts)) - _sum_of_neighbours(fillable, window.shifts, reach)
+    own = own[inner] * fillable[inner]
+    half, shift = np.uint16(1 << (SHIFT[ndim] - 1)), np.uint16(SHIFT[ndim])
+    for _ in range(n_substeps):
+        total = _sum_of_neighbours(u, window.shifts, reach)[inner]
+        total += own * u[inner]
+        total += half
+        total >>= shift
+        total *= fillable[inner]
+        u[inner] = total
+    return u
+
+
+def _sum_of_neighbours(u: np.ndarray, shifts: np.ndarray, reach: int) -> np.ndarray:
+    """Add up the neighbours: (size,) uint16 -> (size,) uint16; border rows hold zeros."""
+    total = np.zeros_like(u)
+    inner = total[reach : u.size - reach]
+    for shift in shifts:
+        inner += u[reach + shift : u.size - reach + shift]
+    return total
+
+
+def move(window: Window, occupied: np.ndarray, n_substeps: int, seed: int, step: int) -> tuple[np.ndarray, bool]:
+    """Motility step: (size,) bool -> (size,) bool with the same number of cells, and whether the window sufficed.
+
+    It did if it is the whole lattice or 0 < U0 < bulk; if it did not, the answer is worthless and the caller widens.
+    """
+    candidates, count = np.flatnonzero(window.fillable), int(np.count_nonzero(occupied))
+    if n_substeps == 0 or count == 0:
+        return occupied, True
+    u = diffuse(window, occupied, n_substeps)
+    level, kept = largest(window, u, candidates, count, seed, step, Phase.MOTILITY_TIE)
+    moved = np.zeros_like(occupied)
+    moved[kept] = True
+    return moved, window.is_whole or 0 < level < BULK[window.lattice.ndim]
+
+
+def largest(
+    window: Window, u: np.ndarray, candidates: np.ndarray, count: int, seed: int, step: int, phase: Phase
+) -> tuple[int, np.ndarray]:
+    """Find the level U0 and the ``count`` candidates of largest U, ties by (random word of (site, step), site).
+
+    ``candidates`` are flat indices, ``1 <= count <= len(candidates)``; the threshold is exact, by histogram.
+    """
+    values = u[candidates]
+    at_least = np.bincount(values)[::-1].cumsum()[::-1]
+    level = int(np.flatnonzero(at_least >= count)[-1])
+    above, ties = candidates[values > level], candidates[values == level]
+    site = window.site(ties)
+    order = np.lexsort((site, site_words(seed, site, step, phase)[:, 0]))
+    return level, np.concatenate([above, ties[order[: count - above.size]]])

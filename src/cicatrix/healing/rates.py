@@ -1,0 +1,92 @@
+"""From a case's physical numbers to the rules on a lattice of any pitch, and the calibrated defaults.
+
+The reference is one cell per site: pitch 10 um, one cell cycle (``hours_per_step``) per step. A coarser site stands for
+a block of cells, and its step is longer in proportion, dt = hours_per_step h / 10 um. What each number becomes:
+
+* layer: a cell of the layer divides at the rate p_layer / hours_per_step, whatever the pitch; the daughters of a layer
+  of thickness delta, per length of front, advance a straight front by v = (p_layer / hours_per_step) delta. So
+  p(h) = p_layer h / 10 um in a step of dt, and layer_sites = layer_um / h, rounded.
+* edge: the front gains a fixed part of a site per step, v = f(p_edge) h / dt, and h / dt is kept: p_edge is unchanged.
+* motility: n sub-steps diffuse with D = n h^2 c / dt (c = 3/16 in 2-D, 1/8 in 3-D), so D is kept by n(h) = n 10 um / h,
+  rounded to a whole number, at least 1.
+
+Kept: the speed of the front in mm/day, from both kinds of division, and up to rounding the layer's thickness and D.
+Not kept: the noise of the front, which grows with the pitch; what is smaller than a few sites; and curvature flow where
+n(h) is so small that the level set of the lattice does not move.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.errors import InputError
+from .automaton import AutomatonRules
+
+CELL_UM = 10.0  # the pitch at which one site is one cell, and at which the rates are given
+
+# Calibrated to the clinic's closure times: docs/decisions/0005-closure-rates.md, papers/clinic-closure.
+HOURS_PER_STEP = 15.0
+P_EDGE = 0.2
+P_LAYER = 0.035
+LAYER_UM = 1200.0
+MOTILITY_SUBSTEPS = 8
+
+
+def rules_at_pitch(
+    pitch_um: float,
+    *,
+    p_edge: float = P_EDGE,
+    p_layer: float = P_LAYER,
+    layer_um: float = LAYER_UM,
+    motility_substeps: int = MOTILITY_SUBSTEPS,
+    **others,
+) -> AutomatonRules:
+    """Rules on a lattice of this pitch for rates given at 10 um; ``others`` are passed on to ``AutomatonRules``.
+
+    Parameters
+    ----------
+    pitch_um : float
+        Pitch of the lattice [um].
+    p_edge, p_layer : float
+        Probabilities per cell cycle at 10 um [1].
+    layer_um : float
+        Thickness of the active layer [um].
+    motility_substeps : int
+        Sub-steps per cell cycle at 10 um.
+
+    Raises
+    ------
+    InputError
+        If the pitch is not positive, the layer is thinner than one site, or the probability at this pitch exceeds 1.
+    """
+    if not (np.isfinite(pitch_um) and pitch_um > 0):
+        raise InputError(f"pitch_um must be positive; got {pitch_um}")
+    if not (np.isfinite(layer_um) and layer_um >= 0):
+        raise InputError(f"layer_um must be zero or positive; got {layer_um}")
+    scale = pitch_um / CELL_UM
+    if not p_layer * scale <= 1:
+        raise InputError(
+            f"p_layer = {p_layer} at 10 um becomes {p_layer * scale:.3g} at pitch_um = {pitch_um}, above 1: "
+            f"take pitch_um <= {CELL_UM / p_layer:.3g}"
+        )
+    layer_sites = round(layer_um / pitch_um)
+    if layer_um > 0 and layer_sites < 1:
+        raise InputError(f"layer_um = {layer_um} is thinner than one site of pitch_um = {pitch_um}: take a finer pitch")
+    n_substeps = max(1, round(motility_substeps / scale)) if motility_substeps else 0
+    return AutomatonRules(
+        p_edge=p_edge, p_layer=p_layer * scale, layer_sites=layer_sites, motility_substeps=n_substeps, **others
+    )
+
+
+def hours_per_step_at_pitch(pitch_um: float, hours_per_step: float = HOURS_PER_STEP) -> float:
+    """Duration of one step at this pitch [h], given the cell cycle at 10 um [h]."""
+    if not (np.isfinite(hours_per_step) and hours_per_step > 0):
+        raise InputError(f"hours_per_step must be positive; got {hours_per_step}")
+    return hours_per_step * pitch_um / CELL_UM
+
+
+def straight_front_speed(
+    p_layer: float = P_LAYER, layer_um: float = LAYER_UM, hours_per_step: float = HOURS_PER_STEP
+) -> float:
+    """Part of the speed of a straight front that the layer makes [mm/day]: p_layer layer / hours_per_step."""
+    return p_layer * layer_um * 1e-3 * 24 / hours_per_step

@@ -1,0 +1,170 @@
+"""Where the daughters of the active layer go, in two variants.
+
+Source: Garbey et al., section 3.3. ``route`` (the default) is the shift along a noisy shortest path: cells being
+indistinguishable, shifting a chain of cells towards the wound is the same as sending one token down the chain.
+``level_set`` is the paper's second variant, diffusion and then the level set that holds the new number of cells; here
+the numbers are kept per wound component, because one global level set would let cells vanish at one wound and appear
+at another.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.ndimage import label
+
+from ..core.random import Phase, below, site_words
+from .motility import diffuse, largest
+from .window import Window
+
+HOP_COST = 64  # cost of one occupied site of a path, without noise
+SETTLE_COST = 48  # cost of settling where no neighbour is occupied
+FAR = np.int32(1 << 30)
+WHOLE_LAYER = 0  # as a reach: no limit, for the first round
+
+
+def route(
+    window: Window, occupied: np.ndarray, layer: np.ndarray, parents: np.ndarray, noise: float, seed: int, step: int
+) -> np.ndarray:
+    """Send every daughter to an empty site along a noisy shortest path: (size,) bool -> (size,) bool.
+
+    The cost of an occupied site is 64 plus a whole number drawn from 0 .. floor(64 noise) by (site, step). Settling at
+    an empty site costs less than a hop, but the more the fewer cells it touches: s for each free neighbour, s = 48 over
+    the number of neighbours, plus a draw from 0 .. s - 1. Without it, a token that is pushed on chooses blindly among
+    the empty sites beside it, and the front grows fingers. The field d is the least cost of a path to an empty site.
+    A token steps to the neighbour with the smallest d (the first in the lattice's order among equals) until it stands
+    on an empty site. Of the tokens at one empty site, one stays; the site counts as occupied and the others walk on in
+    the next round, in the field of the sites still empty. The paths use the layer and the sites filled in this
+    redistribution only; tokens without such a path are dropped, and so are the divisions that made them. All tokens of
+    a round move at once and only their number per site matters, so the order in which they are treated cannot.
+
+    Parameters
+    ----------
+    layer, parents : int arrays
+        Flat indices of the cells of the active layer, and of those that divide (one token each).
+    """
+    descent = _Descent(window, occupied, layer, noise, seed, step)
+    tokens, reach = parents, WHOLE_LAYER
+    while tokens.size:
+        tokens = descent.walk(tokens, reach)
+        landed, counts = np.unique(tokens, return_counts=True)
+        descent.fill(landed)
+        tokens, reach = np.repeat(landed, counts - 1), 2
+    return descent.occupied
+
+
+class _Descent:
+    """The noisy distance-to-empty field of one step and the walk down it; ``occupied`` grows as tokens land."""
+
+    def __init__(self, window: Window, occupied: np.ndarray, layer: np.ndarray, noise: float, seed: int, step: int):
+        self.window, self.noise, self.seed, self.step = window, noise, seed, step
+        self.occupied = occupied.copy()
+        self.free = window.fillable & ~occupied
+        self.distance = np.full(occupied.size, FAR)
+        self.cost = np.zeros(occupied.size, np.int32)  # 0: no path leads through here
+        self._open_paths(layer)
+        self.layer = layer
+
+    def _open_paths(self, sites: np.ndarray) -> None:
+        word = site_words(self.seed, self.window.site(sites), self.step, Phase.PATH_COST)[:, 0]
+        self.cost[sites] = HOP_COST + below(word, int(HOP_COST * self.noise) + 1)
+        self.distance[sites] = FAR
+
+    def _price(self, sites: np.ndarray) -> None:
+        """Set d at empty sites: the fewer occupied neighbours, the dearer to settle there."""
+        unit = SETTLE_COST // len(self.window.shifts)
+        n_free = self.free[sites + self.window.shifts[:, None]].sum(axis=0)
+        word = site_words(self.seed, self.window.site(sites), self.step, Phase.PATH_COST)[:, 1]
+        self.distance[sites] = unit * n_free + below(word, unit)
+
+    def fill(self, sites: np.ndarray) -> None:
+        """Let one cell settle at each of these empty sites."""
+        self.occupied[sites], self.free[sites] = True, False
+        self._open_paths(sites)
+
+    def walk(self, tokens: np.ndarray, reach: int) -> np.ndarray:
+        """Move tokens (n,) to their empty sites: flat indices (m,), without the tokens that have no path.
+
+        The field is solved within ``reach`` hops of the tokens, or in the whole layer. A path that leaves this range
+        costs at least HOP_COST (reach + 1), so smaller values are exact; the range is doubled for the other tokens.
+        """
+        done = []
+        while tokens.size:
+            near, is_all = self._near(tokens, reach)
+            self._solve(near)
+            known = self.distance[tokens] < (FAR if is_all else HOP_COST * (reach + 1))
+            done.append(self._descend(tokens[known]))
+            self.distance[near] = FAR
+            if is_all:
+                break
+            tokens, reach = tokens[~known], 2 * reach
+        return np.concatenate(done) if done else tokens
+
+    def _near(self, tokens: np.ndarray, reach: int) -> tuple[np.ndarray, bool]:
+        """Path sites within ``reach - 1`` hops of the tokens along paths, and whether there are no more to find."""
+        if reach == WHOLE_LAYER:
+            return self.layer, True
+        ring = near = np.unique(tokens)
+        seen = np.zeros(self.cost.size, bool)
+        seen[near] = True
+        for _ in range(reach - 1):
+            ring = np.unique(ring + self.window.shifts[:, None])
+            ring = ring[(self.cost[ring] > 0) & ~seen[ring]]
+            seen[ring] = True
+            near = np.concatenate([near, ring])
+        return near, ring.size == 0
+
+    def _solve(self, sites: np.ndarray) -> None:
+        """Relax d(s) = cost(s) + min over neighbours d until it stands (Bellman-Ford; the solution is unique)."""
+        around, cost = sites + self.window.shifts[:, None], self.cost[sites]
+        self._price(np.unique(around[self.free[around]]))
+        while True:
+            best = np.minimum(self.distance[around].min(axis=0) + cost, FAR)
+            if (best == self.distance[sites]).all():
+                return
+            self.distance[sites] = best
+
+    def _descend(self, tokens: np.ndarray) -> np.ndarray:
+        """Walk tokens that have a path down to the empty sites."""
+        tokens = tokens.copy()
+        walking = np.flatnonzero(~self.free[tokens])
+        while walking.size:
+            around = tokens[walking] + self.window.shifts[:, None]
+            steepest = self.distance[around].argmin(axis=0)
+            tokens[walking] += self.window.shifts[steepest]
+            walking = walking[~self.free[tokens[walking]]]
+        return tokens
+
+
+def level_set(
+    window: Window, occupied: np.ndarray, parents: np.ndarray, reach: int, n_substeps: int, seed: int, step: int
+) -> np.ndarray:
+    """Diffuse, then keep the new number of cells in each wound component: (size,) bool -> (size,) bool.
+
+    A wound component is a connected piece of the fillable sites within ``reach`` hops of an empty site: the open region
+    with the tissue around it, ``reach`` being the larger of the layer's thickness and the sub-steps. Its count is its
+    cells before, plus its divisions in this step, at most its number of sites; what exceeds it is dropped. A component
+    without divisions stays as it is. Wounds whose surroundings touch are one component, with one common count; they
+    part when their surroundings no longer touch.
+    """
+    zone = window.within(window.fillable & ~occupied, reach) & window.fillable
+    u = diffuse(window, occupied, n_substeps)
+    result = occupied.copy()
+    for sites in _components(window, zone):
+        n_new = int(np.count_nonzero(np.isin(parents, sites)))
+        if n_new:
+            count = min(int(np.count_nonzero(occupied[sites])) + n_new, sites.size)
+            result[sites] = False
+            result[largest(window, u, sites, count, seed, step, Phase.REDISTRIBUTION_TIE)[1]] = True
+    return result
+
+
+def _components(window: Window, zone: np.ndarray) -> list[np.ndarray]:
+    """Flat indices of each connected piece of a zone: (size,) bool -> list of (n_sites,) int64."""
+    structure = np.zeros((3,) * window.lattice.ndim, bool)
+    structure[tuple((window.lattice.neighbours + 1).T)] = True
+    structure[(1,) * window.lattice.ndim] = True
+    names, _ = label(zone.reshape(window.shape), structure)  # pyright: ignore[reportGeneralTypeIssues]
+    sites = np.flatnonzero(zone)
+    names = names.ravel()[sites]
+    order = np.argsort(names, kind="stable")
+    return np.split(sites[order], np.flatnonzero(np.diff(names[order])) + 1) if sites.size else []

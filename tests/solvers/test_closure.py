@@ -1,0 +1,138 @@
+"""How wounds close: where daughters appear, how fast the front moves, how round it stays, what the pitch changes."""
+
+import numpy as np
+import pytest
+
+from cicatrix.core.errors import InputError
+from cicatrix.geometry.hexgrid import Lattice
+from cicatrix.healing.automaton import Automaton, AutomatonRules
+from cicatrix.healing.model import Cue
+from cicatrix.healing.rates import LAYER_UM, P_LAYER, hours_per_step_at_pitch, rules_at_pitch, straight_front_speed
+
+
+def disc(radius_mm, pitch_mm, rules, seed=1):
+    reach = 1.15 * radius_mm + 4 * pitch_mm
+    lattice = Lattice.covering((-reach, -reach), (reach, reach), pitch_mm)
+    open0 = (lattice.positions() ** 2).sum(axis=-1) < radius_mm**2
+    return Automaton(lattice, np.ones(lattice.shape, bool), open0, rules, seed)
+
+
+def open_measures(automaton, n_steps=10_000):
+    """Open area [mm2] after every step, until closure or ``n_steps``."""
+    state, areas = automaton.initial_state(), []
+    while len(areas) <= n_steps:
+        areas.append((automaton.open0.size - state.n_cells) * automaton.lattice.site_measure)
+        if areas[-1] == 0:
+            break
+        state = automaton.advance(state)
+    return np.array(areas)
+
+
+def roundness(automaton, state):
+    """Spread of the radius over 24 sectors, standard deviation / mean; 0 is a circle."""
+    points = automaton.lattice.positions()[~state.occupancy]
+    points = points - points.mean(axis=0)
+    sector = np.floor(np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) * 24).astype(int) % 24
+    radius = np.sqrt(np.bincount(sector, minlength=24))  # area of a sector ~ radius^2
+    return radius.std() / radius.mean()
+
+
+@pytest.mark.parametrize("n_substeps", [4, 6, 8])
+def test_level_set_teleports_and_routing_does_not(n_substeps):
+    """Division in the left half of the layer only: share of the daughters that appear on the right.
+
+    Both runs start from the same cells; the twin without division gives the baseline (motility alone).
+    PHYSICS section 2 states 44 % for the level set and 1 % for routing.
+    """
+    share = {}
+    for redistribution in ("level-set", "route"):
+        kinds = {"p_edge": 0.0, "layer_sites": 8, "motility_substeps": n_substeps, "redistribution": redistribution}
+        quiet = disc(1.0, 0.01, AutomatonRules(p_layer=0.0, **kinds))
+        state = quiet.advance(quiet.initial_state(), n_steps=3)
+        x = quiet.lattice.positions()[..., 0]
+        left_only = Cue(np.where(x < 0, 0.0, -1.0), 1.0)  # F = -1 on the right: p = 0
+        right = {}
+        for p in (0.0, 0.1):
+            rules = AutomatonRules(p_layer=p, feedback=1.0, **kinds)
+            new = Automaton(quiet.lattice, quiet.fillable, quiet.open0, rules, 1).advance(state, left_only)
+            right[p] = np.count_nonzero(new.occupancy & (x > 0)), new.n_layer_divisions
+        share[redistribution] = (right[0.1][0] - right[0.0][0]) / right[0.1][1]
+    print(share)
+    assert 0.35 < share["level-set"] < 0.6
+    assert abs(share["route"]) < 0.02
+
+
+def test_front_speeds_up_as_the_wound_shrinks():
+    """v = p delta (1 + delta / 2R), delta = 0.3 mm the layer: factor 1.18 at 0.85 mm, 1.5 at 0.3 mm."""
+    rules = AutomatonRules(p_edge=0.0, p_layer=0.04, layer_sites=30)
+    radius = np.sqrt(open_measures(disc(1.0, 0.01, rules)) / np.pi)
+    steps = np.arange(radius.size)
+    at = [np.interp(-r, -radius, steps) for r in (0.95, 0.75, 0.4, 0.2)]
+    assert 0.2 / (at[3] - at[2]) > 1.15 * 0.2 / (at[1] - at[0])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_wound_stays_round_without_feedback(seed):
+    automaton = disc(1.2, 0.02, rules_at_pitch(20.0, p_layer=0.02, layer_um=160.0), seed)
+    state = automaton.initial_state()
+    n_open = np.count_nonzero(automaton.open0)
+    while automaton.open0.size - state.n_cells > 0.4 * n_open:
+        state = automaton.advance(state)
+    assert roundness(automaton, state) < 0.06
+
+
+def test_feedback_breaks_the_symmetry():
+    automaton = disc(1.2, 0.02, rules_at_pitch(20.0, p_layer=0.02, layer_um=160.0, feedback=1.0))
+    x = automaton.lattice.positions()[..., 0]
+    state = automaton.advance(automaton.initial_state(), Cue(np.where(x > 0, 2.0, 0.0), 1.0), 40)
+    assert automaton.lattice.positions()[~state.occupancy].mean(axis=0)[0] < -0.05
+
+
+def test_coarser_pitch_keeps_the_closure_time():
+    """The same wound, radius 1 mm, at 10, 20 and 40 um: days to closure and to a quarter of the area."""
+    days = {}
+    for pitch, n_seeds in ((10.0, 1), (20.0, 3), (40.0, 6)):
+        rules = rules_at_pitch(pitch, p_layer=0.02, layer_um=160.0)
+        step = hours_per_step_at_pitch(pitch) / 24
+        runs = [open_measures(disc(1.0, pitch * 1e-3, rules, seed)) for seed in range(n_seeds)]
+        quarter = [np.interp(-0.25 * a[0], -a, np.arange(a.size)) * step for a in runs]
+        days[pitch] = np.mean([(a.size - 1) * step for a in runs]), np.mean(quarter)
+    for pitch in (20.0, 40.0):
+        assert days[pitch] == pytest.approx(days[10.0], rel=0.06)
+
+
+class TestRates:
+    def test_scaling_by_hand(self):
+        # 40 um: four times the step, so four times the chance, a quarter of the layer's sites and of the sub-steps
+        rules = rules_at_pitch(40.0, p_edge=0.2, p_layer=0.1, layer_um=400.0, motility_substeps=8)
+        assert (rules.p_edge, rules.layer_sites, rules.motility_substeps) == (0.2, 10, 2)
+        assert rules.p_layer == pytest.approx(0.4)
+        assert hours_per_step_at_pitch(40.0, 15.0) == 60.0
+        # 0.1 of a layer of 0.4 mm per 15 h
+        assert straight_front_speed(0.1, 400.0, 15.0) == pytest.approx(0.064)
+
+    def test_defaults_leave_room_for_feedback(self):
+        for pitch in (40.0, 50.0):
+            assert rules_at_pitch(pitch).p_layer * (1 + 4) < 1
+        assert pytest.approx(0.042) == P_LAYER * LAYER_UM * 1e-3
+
+    @pytest.mark.parametrize(
+        ("arguments", "word"),
+        [
+            ({"pitch_um": 0.0}, "pitch_um"),
+            ({"pitch_um": np.nan}, "pitch_um"),
+            ({"pitch_um": 110.0, "p_layer": 0.1}, "above 1"),
+            ({"pitch_um": 50.0, "layer_um": 20.0}, "thinner"),
+            ({"pitch_um": 10.0, "p_edge": 1.5}, "p_edge"),
+            ({"pitch_um": 10.0, "layer_um": np.nan}, "layer_um"),
+            ({"pitch_um": 10.0, "p_layer": np.nan}, "p_layer"),
+        ],
+    )
+    def test_bad_rates_are_refused(self, arguments, word):
+        with pytest.raises(InputError, match=word):
+            rules_at_pitch(**arguments)
+
+    @pytest.mark.parametrize("hours", [0.0, -1.0, np.nan])
+    def test_bad_hours_are_refused(self, hours):
+        with pytest.raises(InputError, match="hours_per_step"):
+            hours_per_step_at_pitch(10.0, hours)
