@@ -24,7 +24,7 @@ Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def newton(
-    residual: Residual, step: Step, x: np.ndarray, *, tolerance: float, report: NewtonReport, max_iterations: int = 25
+    residual: Residual, step: Step, x: np.ndarray, *, tolerance: float, report: NewtonReport, max_iterations: int = 16
 ) -> np.ndarray:
     """Solve residual(x) = 0.
 
@@ -125,7 +125,7 @@ def _downhill(energy, step, x: np.ndarray, r: np.ndarray, E: float, damping: flo
     return (trial, E_trial) if E_trial <= E + 1e-4 * (dx @ r) + 1e-13 * abs(E) else (None, E)
 
 
-def ramp(advance: Callable[[np.ndarray, float], np.ndarray], x: np.ndarray, report: NewtonReport, first: float = 1.0) -> np.ndarray:
+def ramp(advance: Callable[[np.ndarray, float], np.ndarray], x: np.ndarray, report: NewtonReport, smallest: float = 1.0 / 512.0) -> np.ndarray:
     """Walk a load factor from 0 to 1 in adaptive steps.
 
     ``advance(x, factor)`` returns the solution at that factor or raises ConvergenceError; a failed step is halved, a
@@ -134,9 +134,9 @@ def ramp(advance: Callable[[np.ndarray, float], np.ndarray], x: np.ndarray, repo
     Raises
     ------
     ConvergenceError
-        When the step has become smaller than 1/512, with all that was tried.
+        When the step has become smaller than ``smallest``, with all that was tried.
     """
-    reached, size = 0.0, first
+    reached, size = 0.0, 1.0
     while reached < 1.0:
         target = min(1.0, reached + size)
         try:
@@ -144,7 +144,7 @@ def ramp(advance: Callable[[np.ndarray, float], np.ndarray], x: np.ndarray, repo
         except ConvergenceError as error:
             report.history.append(f"load factor {reached:.4g} -> {target:.4g}: {error.history[-1]}")
             size *= 0.5
-            if size < 1.0 / 512.0:
+            if size < smallest:
                 raise ConvergenceError(
                     f"No equilibrium found beyond load factor {reached:.4g}: try stiffer tissue, a finer mesh or a smaller "
                     "gravity.",

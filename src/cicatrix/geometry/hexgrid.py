@@ -6,6 +6,7 @@ pitch and meet at 60 degrees, so the nearest neighbours are exactly +-e_i and e_
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
@@ -125,6 +126,20 @@ class Lattice:
         """Whether site indices lie on the lattice: (..., n) int -> (...) bool."""
         index = np.asarray(index)
         return np.asarray(((index >= 0) & (index < np.array(self.shape))).all(axis=-1))
+
+    def beside(self, marked: np.ndarray) -> np.ndarray:
+        """Sites with a marked neighbour: bool array of the lattice's shape -> the same; the frame has no neighbours."""
+        return np.logical_or.reduce(list(self._shifted(marked)))
+
+    def n_bonds(self, one: np.ndarray, other: np.ndarray) -> int:
+        """Count the neighbouring pairs with one site in ``one`` and the other in ``other`` (disjoint bool arrays)."""
+        return sum(int(np.count_nonzero(one & shifted)) for shifted in self._shifted(other))
+
+    def _shifted(self, marked: np.ndarray) -> Iterator[np.ndarray]:
+        """The array as each neighbour sees it, in the order of ``neighbours``."""
+        padded = np.pad(marked, 1)
+        for offset in self.neighbours:
+            yield padded[tuple(slice(1 + o, 1 + o + n) for o, n in zip(offset, self.shape))]
 
     def ball(self, radius_sites: int) -> np.ndarray:
         """Offsets within a hop distance, itself included: (n_offsets, n) int64."""

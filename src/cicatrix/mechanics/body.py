@@ -12,7 +12,7 @@ import scipy.sparse as sp
 from jax import Array
 
 from ..materials.material import EnergyMaterial
-from .elements import Bulk, Membrane, bulk_energy, bulk_force, bulk_tangent, membrane_energy, membrane_force, tangent
+from .elements import Bulk, Membrane, bulk_energy, bulk_force, bulk_tangent, deformation_gradient, membrane_energy, membrane_force, tangent
 from .pattern import Pattern
 from .space import Space
 
@@ -188,6 +188,12 @@ def section_areas(space: Space, X: np.ndarray) -> np.ndarray:
     """Area belonging to each quadrature point: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^2]."""
     slopes = np.einsum("eai,qab->eqib", X[space.element_nodes][..., :2], space.table.gradient)
     return space.table.weight * np.abs(np.linalg.det(slopes))
+
+
+def deformation_gradients(space: Space, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """F = dx/dX at quadrature points: X, x (n_nodes, 3) [mm] -> (n_elements, n_qp, 3, 3) [1]."""
+    cells = space.element_nodes
+    return np.asarray(deformation_gradient(X[cells], x[cells], space.table.gradient))
 
 
 @partial(jax.jit, static_argnums=0)

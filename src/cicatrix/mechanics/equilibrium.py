@@ -40,7 +40,8 @@ class Equilibrium:
         gravity : (3,) array [mm/s^2]
             Acceleration in the section's axes.
         start : (n_nodes, 3) array [mm], optional
-            A nearby equilibrium; tried first, then gravity is ramped up from the unloaded shape.
+            A nearby equilibrium; tried first. Then gravity is ramped up from the unloaded shape, and where Newton's
+            method fails even in small steps (a slender breast that buckles), potential energy is minimised.
 
         Returns
         -------
@@ -58,9 +59,23 @@ class Equilibrium:
                 return self._solve(body, X, start, gravity, gravity, "x", report), report
             except ConvergenceError as error:
                 report.history.append(f"from the nearby shape: {error.history[-1]}")
-        x0 = X if start is None else np.where(body.active_nodes[:, None], X, start)
-        advance = lambda x, factor: self._solve(body, X, x, factor * gravity, gravity, "x", report)  # noqa: E731
-        return ramp(advance, x0, report), report
+        else:
+            start = X
+        reached = np.where(body.active_nodes[:, None], X, start)
+
+        def advance(x: np.ndarray, factor: float) -> np.ndarray:
+            nonlocal reached
+            reached = self._solve(body, X, x, factor * gravity, gravity, "x", report)
+            return reached
+
+        try:
+            return ramp(advance, reached, report, smallest=0.25), report
+        except ConvergenceError:
+            report.history.append("downhill in potential energy from the last load factor")
+            try:
+                return self._solve(body, X, reached, gravity, gravity, "x", report, damped=True), report
+            except ConvergenceError as error:
+                raise ConvergenceError(str(error), report.history + error.history) from error
 
     def unloaded(self, body: Body, x: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, NewtonReport]:
         """Find the unloaded shape of a body whose loaded shape is known.

@@ -1,0 +1,225 @@
+"""The healing cycle (Garbey et al., Fig. 3): loaded solve, energy to the lattice, healing, filled tissue, and again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..geometry.transfer import SiteMap, linear_fit
+from ..healing.automaton import Automaton, AutomatonState
+from ..healing.model import Cue
+from ..materials.active import Contraction
+from ..materials.compose import Sum
+from ..materials.growth import NaturalConfiguration
+from ..materials.neo_hookean import NeoHookean
+from ..mechanics.body import Body, deformation_gradients
+from ..mechanics.equilibrium import Equilibrium
+from ..mechanics.extension import Extension
+from .deposition import Deposition
+
+LEAST_FILLED = 0.05  # an element with less tissue than this share is out of the mechanics
+
+
+@dataclass(frozen=True, eq=False)
+class Tissue:
+    """Elastic constants and density of a tissue at quadrature points; numbers or (n_elements, n_qp) arrays."""
+
+    mu: np.ndarray
+    """Shear modulus [kPa]."""
+    kappa: np.ndarray
+    """Bulk modulus [kPa]."""
+    density: np.ndarray
+    """Mass per reference volume [kg/mm^3]."""
+
+
+@dataclass(frozen=True, eq=False)
+class TissueState:
+    """Everything that changes: a checkpoint is this, a restart begins from it.
+
+    Parameters
+    ----------
+    cycle : int
+        Cycles done.
+    healing : AutomatonState
+        Cells.
+    filled : (n_elements,) array [1]
+        Share of each element that is tissue.
+    natural : (n_elements, n_qp, 3, 3) array [1]
+        Natural configuration of the tissue.
+    x : (n_nodes, 3) array [mm]
+        Loaded positions in the healing position, the open cavity moved along.
+    newton_iterations : int
+        Of the last solve.
+    W_ref : float [kPa]
+        Mean energy over the fresh wound edge.
+    closure_step : int
+        Automaton step at which the last open site was filled; -1 while the wound is open.
+    """
+
+    cycle: int
+    healing: AutomatonState
+    filled: np.ndarray
+    natural: np.ndarray
+    x: np.ndarray
+    newton_iterations: int
+    W_ref: float = 0.0
+    closure_step: int = -1
+
+    @property
+    def is_closed(self) -> bool:
+        """No open site is left."""
+        return self.closure_step >= 0
+
+
+@dataclass(frozen=True, eq=False)
+class HealingCycle:
+    """What does not change while a wound heals.
+
+    Parameters
+    ----------
+    intact : Body
+        The body before surgery.
+    X : (n_nodes, 3) array [mm]
+        Its unloaded shape: the reference of mechanics and lattice alike.
+    x_intact : (n_nodes, 3) array [mm]
+        Its loaded shape in the healing position.
+    gravity : (3,) array [mm/s^2]
+        In the healing position, in the section's axes.
+    tissue, scar : Tissue
+        What is there before surgery, and what grows in the cavity.
+    cavity : (n_elements,) bool array
+        Elements taken out.
+    contraction : float [kPa]
+        Pull of new tissue.
+    automaton : Automaton
+        Healing model on the lattice of the unloaded reference.
+    sites : SiteMap
+        Element of each lattice site.
+    deposition : Deposition
+        Stress-free state of new tissue.
+    days_per_cycle, days_per_step : float [days]
+        Time between mechanical solves, and of one automaton step.
+    equilibrium : Equilibrium
+        Mechanical solver.
+    """
+
+    intact: Body
+    X: np.ndarray
+    x_intact: np.ndarray
+    gravity: np.ndarray
+    tissue: Tissue
+    scar: Tissue
+    cavity: np.ndarray
+    contraction: float
+    automaton: Automaton
+    sites: SiteMap
+    deposition: Deposition
+    days_per_cycle: float
+    days_per_step: float
+    equilibrium: Equilibrium
+
+    def start(self) -> TissueState:
+        """The fresh wound: the cavity is open, the body has found its new shape.
+
+        Raises
+        ------
+        ConvergenceError
+            If no equilibrium is found.
+        """
+        healing = self.automaton.initial_state()
+        space = self.intact.frame.space
+        natural = np.broadcast_to(np.eye(3), (space.n_elements, space.table.weight.size, 3, 3))
+        draft = TissueState(0, healing, self.filled(healing), natural, self.x_intact, 0)
+        fresh = self._equilibrated(draft, self.x_intact)
+        return replace(fresh, W_ref=self.edge_energy(fresh))
+
+    def step(self, state: TissueState) -> TissueState:
+        """One cycle: the cells heal under the present energy, then the body finds its shape with what they filled.
+
+        Raises
+        ------
+        ConvergenceError
+            If no equilibrium is found.
+        """
+        cue = Cue(self.energy_at_sites(state).reshape(self.automaton.lattice.shape), state.W_ref or 1.0)
+        healing, closure_step = self._heal(state, cue)
+        filled = self.filled(healing)
+        F = deformation_gradients(self.intact.frame.space, self.X, state.x)
+        natural = self.deposition.natural(state.natural, state.filled, filled, F)
+        new = TissueState(state.cycle + 1, healing, filled, natural, state.x, 0, state.W_ref, closure_step)
+        return self._equilibrated(new, state.x)
+
+    def _heal(self, state: TissueState, cue: Cue) -> tuple[AutomatonState, int]:
+        healing, closure_step = state.healing, state.closure_step
+        last = int(np.floor(self.days(state.cycle + 1) / self.days_per_step + 1e-9))
+        while healing.step < last:
+            healing = self.automaton.advance(healing, cue)
+            if closure_step < 0 and not self.open_sites(healing).any():
+                closure_step = healing.step
+        return healing, closure_step
+
+    def _equilibrated(self, state: TissueState, start: np.ndarray) -> TissueState:
+        body = self.body(state)
+        x, report = self.equilibrium.loaded(body, self.X, self.gravity, start)
+        return replace(state, x=self.extension.fill(x, body.fraction), newton_iterations=report.iterations)
+
+    @cached_property
+    def extension(self) -> Extension:
+        """Continuation of displacements into the open cavity."""
+        return Extension(self.intact.frame, self.X)
+
+    def days(self, cycle: int) -> float:
+        """Time after so many cycles [days]."""
+        return cycle * self.days_per_cycle
+
+    def body(self, state: TissueState) -> Body:
+        """The body as it is: elements with hardly any tissue are out, the others count by the share that is filled."""
+        fraction = np.where(state.filled < LEAST_FILLED, 0.0, state.filled)
+        is_new = self.cavity[:, None]
+        elastic = NeoHookean(np.where(is_new, self.scar.mu, self.tissue.mu), np.where(is_new, self.scar.kappa, self.tissue.kappa))
+        law = tissue_law(elastic, np.where(is_new, self.contraction, 0.0) * np.ones_like(self.tissue.mu), state.natural)
+        return self.intact.with_tissue(law, np.where(is_new, self.scar.density, self.tissue.density), fraction)
+
+    def open_sites(self, healing: AutomatonState) -> np.ndarray:
+        """Sites that wait for a cell: bool array of the lattice's shape."""
+        return self.automaton.fillable & ~healing.occupancy
+
+    def filled(self, healing: AutomatonState) -> np.ndarray:
+        """Share of each element that cells fill (n_elements,) [1]: every site counts in exactly one element."""
+        total = self.sites.count(self.automaton.fillable.ravel())
+        return 1.0 - self.sites.count(self.open_sites(healing).ravel()) / np.maximum(total, 1)
+
+    def energy_at_sites(self, state: TissueState) -> np.ndarray:
+        """Strain energy density of the tissue at every lattice site (n_sites,) [kPa], mapped back onto the reference."""
+        body, space = self.body(state), self.intact.frame.space
+        coefficients = linear_fit(body.energy_density(self.X, state.x), body.volumes(self.X), space.table.points)
+        held = body.fraction > 0.0
+        centres = self.X[space.element_nodes[:, :3], :2].mean(axis=1)
+        nearest = np.flatnonzero(held)[cKDTree(centres[held]).query(centres[~held])[1]]
+        coefficients[~held] = coefficients[nearest] * (1.0, 0.0, 0.0)
+        return np.maximum(self.sites.evaluate(coefficients), 0.0)
+
+    def edge_energy(self, state: TissueState) -> float:
+        """Mean energy density over the sites that border the open wound [kPa]; 0 when it is closed."""
+        edge = self.edge_sites(state.healing).ravel()
+        return float(self.energy_at_sites(state)[edge].mean()) if edge.any() else 0.0
+
+    def edge_sites(self, healing: AutomatonState) -> np.ndarray:
+        """Cells with an open neighbour: bool array of the lattice's shape."""
+        return self.automaton.lattice.beside(self.open_sites(healing)) & healing.occupancy
+
+
+def tissue_law(elastic: NeoHookean, contraction: np.ndarray, natural: np.ndarray) -> NaturalConfiguration:
+    """The law of all tissue in a lumpectomy, old and new; one form, so that nothing recompiles as tissue grows."""
+    return NaturalConfiguration(Sum((elastic, Contraction(contraction))), natural)
+
+
+def run(cycle: HealingCycle, state: TissueState, last_cycle: int) -> Iterator[TissueState]:
+    """The one time loop: yield the state after each cycle until the wound is closed or the last cycle is done."""
+    while state.cycle < last_cycle and not state.is_closed:
+        state = cycle.step(state)
+        yield state

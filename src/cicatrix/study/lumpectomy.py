@@ -1,0 +1,322 @@
+"""From a case and a segmented image to the healing cycle: the one place that knows every package."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import skfem
+from scipy.ndimage import distance_transform_edt, map_coordinates
+
+from ..core.errors import InputError
+from ..core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2, density_kg_mm3, days_from_weeks, mm_from_um
+from ..coupling.cycle import HealingCycle, Tissue, TissueState, tissue_law
+from ..coupling.deposition import Deposition
+from ..geometry.hexgrid import Lattice
+from ..geometry.labels import TISSUES, Label
+from ..geometry.meshing import component_at, interpolant, label_borders, mesh_section, signed_distance
+from ..geometry.section import Raster, Section
+from ..geometry.transfer import OUTSIDE, SiteMap, locate_sites
+from ..geometry.volume import Volume
+from ..healing.automaton import Automaton
+from ..healing.rates import rules_at_pitch
+from ..materials.neo_hookean import NeoHookean, moduli_from_young
+from ..mechanics.body import Body, Frame
+from ..mechanics.equilibrium import Equilibrium
+from ..mechanics.space import Space
+from .case import LumpectomyCase
+
+# which way is down, as LPS components, for each position of the patient
+DOWN = {"upright": (0.0, 0.0, -1.0), "prone": (0.0, -1.0, 0.0), "supine": (0.0, 1.0, 0.0)}
+LEAST_SKIN_FLAP_MM = 3.0  # the cavity stays this far below the skin and off the chest wall
+
+
+class Listener(Protocol):
+    """Hears of the stages of long work."""
+
+    def stage(self, name: str):
+        """Enter a stage: a context manager."""
+        ...
+
+    def update(self, fraction: float, text: str = "") -> None:
+        """Hear how far the stage is, 0 to 1."""
+        ...
+
+
+class Silent:
+    """A listener that does nothing."""
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Enter a stage."""
+        yield
+
+    def update(self, fraction: float, text: str = "") -> None:
+        """Hear how far the stage is."""
+
+
+@dataclass(frozen=True, eq=False)
+class Anatomy:
+    """The segmented image: labels (nz, ny, nx) and tissue probabilities (4, nz, ny, nx) on one grid."""
+
+    image: Volume | None
+    labels: Volume
+    probabilities: Volume
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """The section, its mesh and the body in it, before anything is removed."""
+
+    section: Section
+    raster: Raster
+    mesh: skfem.MeshTri
+    intact: Body
+    tissue: Tissue
+    scar: Tissue
+    cavity: np.ndarray
+    centre_mm: np.ndarray
+    radius_mm: float
+
+    @property
+    def x_imaged(self) -> np.ndarray:
+        """Positions as imaged (n_nodes, 3) [mm]."""
+        return self.intact.frame.space.positions
+
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """Nodes around the section in order, vertices and midpoints (n,)."""
+        return _ordered_outline(self.intact.frame.space)
+
+    @cached_property
+    def on_skin(self) -> np.ndarray:
+        """Which outline nodes lie on the skin (n,) bool."""
+        return np.isin(self.outline, self.intact.frame.skin_nodes)
+
+    @cached_property
+    def nipple(self) -> int:
+        """Row of ``outline`` of the most anterior point of the skin, where the nipple is taken to be."""
+        anterior = -self.section.to_patient(self.x_imaged[self.outline, :2])[:, 1]
+        return int(np.argmax(np.where(self.on_skin, anterior, -np.inf)))
+
+    def gravity(self, position: str) -> np.ndarray:
+        """Gravity in the section's axes (3,) [mm/s^2]."""
+        return self.section.from_patient(np.array(DOWN[position])) * acceleration_mm_s2(STANDARD_GRAVITY_M_S2)
+
+
+def resection_of(case: LumpectomyCase, labels: Volume) -> np.ndarray:
+    """Centre of the resection: as the case says, else the centroid of the tumour's voxels (3,) LPS [mm].
+
+    Raises
+    ------
+    InputError
+        If there is neither, or the centre lies outside the breast.
+    """
+    if case.resection.centre_mm is not None:
+        centre = np.asarray(case.resection.centre_mm, float)
+    else:
+        tumour = np.argwhere(labels.values == Label.TUMOUR)
+        if not len(tumour):
+            raise InputError("resection.centre_mm is missing and the labels hold no tumour: give the centre.")
+        centre = labels.position(tumour.mean(axis=0))
+    return centre
+
+
+def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
+    """Cut the section, mesh it with the cavity's border on element edges, and fill it with tissue.
+
+    Raises
+    ------
+    InputError
+        If the section holds no breast, no chest wall, or the resection does not lie inside it.
+    """
+    centre = resection_of(case, anatomy.labels)
+    normal = Section(case.image.plane, 0.0).axes[2]
+    position = centre[normal] if case.image.slice_mm is None else case.image.slice_mm
+    section = Section(case.image.plane, float(position))
+    radius = _radius_in_plane(case.resection.radius_mm, position - centre[normal])
+    raster = section.raster(anatomy.labels, min(*anatomy.labels.spacing_mm, 1.0))
+    centre2 = section.from_patient(centre)[:2]
+    inside = _breast(anatomy, section, raster, centre2)
+    body = signed_distance(inside, raster.pixel_mm)
+    cavity = _cavity(body, raster, centre2, radius)
+    points = raster.points[inside]
+    mesh = mesh_section(
+        interpolant(body, raster), cavity, points.min(axis=0), points.max(axis=0), case.mesh.edge_mm, case.mesh.cavity_edge_mm
+    )
+    mesh = label_borders(mesh, _is_wall(anatomy.labels, section, raster))
+    intact, tissue, scar = _body(case, anatomy, section, mesh)
+    removed = np.zeros(mesh.nelements, bool)
+    removed[mesh.subdomains["cavity"]] = True
+    return Plan(section, raster, mesh, intact, tissue, scar, removed, centre, radius)
+
+
+def _radius_in_plane(radius: float, offset: float) -> float:
+    if abs(offset) >= radius:
+        raise InputError(
+            f"image.slice_mm lies {abs(offset):.1f} mm from the centre of the resection, beyond its radius of {radius:g} mm: "
+            "the section does not cut the cavity."
+        )
+    return float(np.sqrt(radius**2 - offset**2))
+
+
+def _breast(anatomy: Anatomy, section: Section, raster: Raster, centre: np.ndarray) -> np.ndarray:
+    tissue = anatomy.probabilities.with_values(anatomy.probabilities.values.sum(axis=0))
+    mask = tissue.sample(section.to_patient(raster.points)) > 0.5
+    row, column = np.rint(raster.index(centre)).astype(int)
+    if not (0 <= row < mask.shape[0] and 0 <= column < mask.shape[1] and mask[row, column]):
+        where = ", ".join(f"{c:.1f}" for c in centre)
+        raise InputError(f"resection.centre_mm must lie inside the breast; ({where}) mm in the section does not.")
+    return component_at(mask, row, column)
+
+
+def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float):
+    """Signed distance of the cavity: the disc, kept below a flap of skin."""
+    depth = -float(interpolant(body, raster)(centre[None])[0])
+    widest = float(-body.min())
+    if radius > widest:
+        raise InputError(
+            f"resection.radius_mm must be smaller than the breast in this section, where the largest disc has a radius of "
+            f"{widest:.1f} mm; got {radius:.1f}."
+        )
+    if depth < LEAST_SKIN_FLAP_MM:
+        raise InputError(
+            f"resection.centre_mm must lie at least {LEAST_SKIN_FLAP_MM:g} mm inside the breast; it lies {depth:.1f} mm inside."
+        )
+    distance = interpolant(body, raster)
+    return lambda p: np.maximum(np.hypot(*(p - centre).T) - radius, distance(p) + LEAST_SKIN_FLAP_MM)
+
+
+def _is_wall(labels: Volume, section: Section, raster: Raster):
+    """Say whether points just outside the breast lie in the chest (or beyond the image) rather than in air."""
+    points = section.to_patient(raster.points)
+    index = np.moveaxis(np.rint(labels.voxel(points)).astype(int), -1, 0)
+    values = labels.values[tuple(np.clip(i, 0, n - 1) for i, n in zip(index, labels.shape))]
+    chest = np.pad(values == Label.CHEST, 1, constant_values=not (labels.values == Label.CHEST).any())
+    air = np.pad(values == Label.AIR, 1, constant_values=False)
+    if not chest.any():
+        raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
+    nearer_chest = distance_transform_edt(~chest) < (distance_transform_edt(~air) if air.any() else np.inf)
+    return lambda p: map_coordinates(nearer_chest.astype(float), raster.index(p) + 1.0, order=1, mode="nearest") > 0.5
+
+
+def _body(case: LumpectomyCase, anatomy: Anatomy, section: Section, mesh: skfem.MeshTri) -> tuple[Body, Tissue, Tissue]:
+    space = Space(mesh)
+    wall = mesh.boundaries["wall"]
+    if not len(wall):
+        raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
+    frame = Frame(space, mesh.boundaries["skin"], np.unique(space.edge_nodes(wall)))
+    tissue = _tissue(case, anatomy, section, space)
+    new = case.tissue.scar
+    mu, kappa = moduli_from_young(new.E_kPa, new.nu)
+    scar = Tissue(mu, kappa, density_kg_mm3(new.density_kg_m3))
+    skin = case.tissue.skin
+    natural = np.broadcast_to(np.eye(3), (*tissue.mu.shape, 3, 3))
+    intact = Body(
+        frame,
+        law=tissue_law(NeoHookean(tissue.mu, tissue.kappa), np.zeros_like(tissue.mu), natural),
+        density=tissue.density,
+        fraction=np.ones(space.n_elements),
+        skin=NeoHookean(*moduli_from_young(skin.E_kPa, skin.nu)),
+        skin_thickness=np.full(len(frame.skin_facets), skin.thickness_mm),
+    )
+    return intact, tissue, scar
+
+
+def _tissue(case: LumpectomyCase, anatomy: Anatomy, section: Section, space: Space) -> Tissue:
+    """Mix constants by probability at the quadrature points; skin is a membrane, so its share goes to the others."""
+    points = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])[..., :2]
+    shares = np.moveaxis(anatomy.probabilities.sample(section.to_patient(points)), 0, -1)
+    shares[..., TISSUES.index(Label.SKIN)] = 0.0
+    shares[..., TISSUES.index(Label.FAT)] += 1e-3  # where there is nothing but skin
+    shares /= shares.sum(axis=-1, keepdims=True)
+    parts = [getattr(case.tissue, label.name.lower()) for label in TISSUES]
+    moduli = np.array([moduli_from_young(p.E_kPa, p.nu) for p in parts])
+    density = np.array([density_kg_mm3(p.density_kg_m3) for p in parts])
+    return Tissue(shares @ moduli[:, 0], shares @ moduli[:, 1], shares @ density)
+
+
+def equilibrium_of(case: LumpectomyCase) -> Equilibrium:
+    """The mechanical solver that the case asks for."""
+    return Equilibrium(case.solver.relative_tolerance)
+
+
+def lattice_on(case: LumpectomyCase, planned: Plan, X: np.ndarray) -> tuple[Automaton, SiteMap]:
+    """Lay the lattice over the cavity and its active layer in the unloaded reference, and put the cells on it."""
+    space = planned.intact.frame.space
+    nodes = space.element_nodes[:, :6]
+    h = case.healing
+    rules = rules_at_pitch(
+        h.pitch_um,
+        p_edge=h.p_edge,
+        p_layer=h.p_layer,
+        layer_um=h.layer_um,
+        motility_substeps=h.motility_substeps,
+        redistribution=h.redistribution,
+        feedback=h.feedback if case.coupling.mode == "two-way" else 0.0,
+        min_free_neighbours=max(1, h.contact_inhibition),
+    )
+    around = X[nodes[planned.cavity]].reshape(-1, 3)[:, :2]
+    pitch = mm_from_um(h.pitch_um)
+    margin = (rules.layer_sites + 3 * rules.motility_substeps + 4) * pitch
+    lattice = Lattice.covering(around.min(axis=0) - margin, around.max(axis=0) + margin, pitch)
+    sites = locate_sites(X[nodes][..., :2], lattice.positions().reshape(-1, 2))
+    fillable = (sites.element != OUTSIDE).reshape(lattice.shape)
+    is_open = np.append(planned.cavity, False)[sites.element].reshape(lattice.shape)
+    return Automaton(lattice, fillable, is_open, rules, case.run.seed), sites
+
+
+def healing_cycle(case: LumpectomyCase, planned: Plan, X: np.ndarray, x_intact: np.ndarray, equilibrium: Equilibrium) -> HealingCycle:
+    """Join mechanics and healing.
+
+    X, x_intact (n_nodes, 3) [mm]: unloaded shape, and loaded shape in the healing position, of the intact body.
+    """
+    automaton, sites = lattice_on(case, planned, X)
+    return HealingCycle(
+        intact=planned.intact,
+        X=X,
+        x_intact=x_intact,
+        gravity=planned.gravity(case.coupling.healing_position),
+        tissue=planned.tissue,
+        scar=planned.scar,
+        cavity=planned.cavity,
+        contraction=case.healing.contraction_kPa,
+        automaton=automaton,
+        sites=sites,
+        deposition=Deposition(case.healing.deposition == "loaded", case.healing.deposition_prestretch),
+        days_per_cycle=case.coupling.days_per_cycle,
+        days_per_step=case.healing.days_per_step,
+        equilibrium=equilibrium,
+    )
+
+
+def last_cycle(case: LumpectomyCase) -> int:
+    """Number of the last cycle that the case allows."""
+    return int(np.ceil(days_from_weeks(case.run.max_weeks) / case.coupling.days_per_cycle - 1e-9))
+
+
+def _ordered_outline(space: Space) -> np.ndarray:
+    """Boundary nodes of the section in order around it (n,): vertex, midpoint, vertex, ..."""
+    edges = space.edge_nodes(space.mesh.boundary_facets())
+    following: dict[int, list[tuple[int, int]]] = {}
+    for a, b, middle in edges.tolist():
+        following.setdefault(a, []).append((b, middle))
+        following.setdefault(b, []).append((a, middle))
+    start = int(edges[0, 0])
+    path, previous, here = [], -1, start
+    while True:
+        after, middle = next(step for step in following[here] if step[1] != previous)
+        path += [here, middle]
+        previous, here = middle, after
+        if here == start:
+            return np.array(path)
+
+
+def visit_cycles(case: LumpectomyCase) -> dict[float, int]:
+    """Cycle nearest to each visit: weeks -> cycle number."""
+    return {w: round(days_from_weeks(w) / case.coupling.days_per_cycle) for w in case.outcome.visits_weeks}
+
