@@ -96,3 +96,9 @@ def test_bad_boxes_are_refused():
         Lattice.covering([0, 0], [1, 0], 0.1)
     with pytest.raises(InputError, match="corners"):
         Lattice.covering([0, 0], [1, 0, 2], 0.1)
+
+
+def test_lists_and_numpy_numbers_are_taken():
+    lattice = Lattice([4, np.int64(5)], 1.0, np.zeros(2))
+    assert lattice == Lattice((4, 5), 1.0, (0.0, 0.0))
+    assert hash(lattice) == hash(Lattice((4, 5), 1.0, (0.0, 0.0)))

@@ -50,6 +50,8 @@ class Lattice:
             raise InputError(f"Lattice.pitch_mm must be positive; got {self.pitch_mm}")
         if len(self.origin_mm) != self.ndim or not np.isfinite(self.origin_mm).all():
             raise InputError(f"Lattice.origin_mm must be {self.ndim} finite numbers; got {self.origin_mm}")
+        object.__setattr__(self, "shape", tuple(int(n) for n in self.shape))
+        object.__setattr__(self, "origin_mm", tuple(float(x) for x in self.origin_mm))
 
     @classmethod
     def covering(cls, low_mm: np.ndarray, high_mm: np.ndarray, pitch_mm: float) -> Lattice:

@@ -146,7 +146,7 @@ class Automaton:
     def __post_init__(self):
         for name in ("fillable", "open0"):
             array = np.asarray(getattr(self, name))
-            if array.dtype != bool or array.shape != tuple(self.lattice.shape):
+            if array.dtype != bool or array.shape != self.lattice.shape:
                 kind = f"{array.dtype} {array.shape}"
                 raise InputError(f"Automaton.{name} must be bool {self.lattice.shape} like the lattice; got {kind}")
         if (self.open0 & ~self.fillable).any():
@@ -177,7 +177,7 @@ class Automaton:
         InvariantError
             If cells were lost or doubled (a fault of the program).
         """
-        if state.occupancy.shape != tuple(self.lattice.shape):
+        if state.occupancy.shape != self.lattice.shape:
             raise InputError(f"the state's lattice {state.occupancy.shape} is not the automaton's {self.lattice.shape}")
         chance = _LayerChance.of(self, cue or Cue())
         for _ in range(n_steps):
@@ -256,7 +256,7 @@ class _LayerChance(NamedTuple):
 
     @classmethod
     def of(cls, automaton: Automaton, cue: Cue) -> _LayerChance:
-        w, shape = np.asarray(cue.W, float), tuple(automaton.lattice.shape)
+        w, shape = np.asarray(cue.W, float), automaton.lattice.shape
         if w.shape not in ((), shape):
             raise InputError(f"Cue.W must be a number or an array of the lattice's shape {shape}; got {w.shape}")
         if not np.isfinite(w).all():

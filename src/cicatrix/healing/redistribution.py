@@ -60,6 +60,8 @@ class _Descent:
         self.occupied = occupied.copy()
         self.free = window.fillable & ~occupied
         self.distance = np.full(occupied.size, FAR)
+        self.in_reach = np.zeros(occupied.size, bool)
+        self.stamp = np.zeros(occupied.size, np.int64)
         self.cost = np.zeros(occupied.size, np.int32)  # 0: no path leads through here
         self._open_paths(layer)
         self.layer = layer
@@ -103,25 +105,38 @@ class _Descent:
         """Path sites within ``reach - 1`` hops of the tokens along paths, and whether there are no more to find."""
         if reach == WHOLE_LAYER:
             return self.layer, True
-        ring = near = np.unique(tokens)
-        seen = np.zeros(self.cost.size, bool)
-        seen[near] = True
+        ring = near = self._once(tokens)
+        self.in_reach[near] = True
         for _ in range(reach - 1):
-            ring = np.unique(ring + self.window.shifts[:, None])
-            ring = ring[(self.cost[ring] > 0) & ~seen[ring]]
-            seen[ring] = True
+            around = ring + self.window.shifts[:, None]
+            ring = self._once(around[(self.cost[around] > 0) & ~self.in_reach[around]])
+            self.in_reach[ring] = True
             near = np.concatenate([near, ring])
         return near, ring.size == 0
 
+    def _once(self, sites: np.ndarray) -> np.ndarray:
+        """Each of these sites (n,) once, in no particular order; unlike sorting, this costs two look-ups."""
+        number = np.arange(sites.size)
+        self.stamp[sites] = number
+        return sites[self.stamp[sites] == number]
+
     def _solve(self, sites: np.ndarray) -> None:
-        """Relax d(s) = cost(s) + min over neighbours d until it stands (Bellman-Ford; the solution is unique)."""
-        around, cost = sites + self.window.shifts[:, None], self.cost[sites]
-        self._price(np.unique(around[self.free[around]]))
-        while True:
-            best = np.minimum(self.distance[around].min(axis=0) + cost, FAR)
-            if (best == self.distance[sites]).all():
-                return
-            self.distance[sites] = best
+        """Relax d(s) = cost(s) + min over neighbours d until it stands (the solution is unique).
+
+        A site is looked at again only if a neighbour changed.
+        """
+        around = sites + self.window.shifts[:, None]
+        self._price(self._once(around[self.free[around]]))
+        self.in_reach[sites] = True
+        active = sites
+        while active.size:
+            best = self.distance[active + self.window.shifts[:, None]].min(axis=0) + self.cost[active]
+            is_new = best < self.distance[active]
+            active, best = active[is_new], best[is_new]
+            self.distance[active] = best
+            around = active + self.window.shifts[:, None]
+            active = self._once(around[self.in_reach[around]])
+        self.in_reach[sites] = False
 
     def _descend(self, tokens: np.ndarray) -> np.ndarray:
         """Walk tokens that have a path down to the empty sites."""

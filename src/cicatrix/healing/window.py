@@ -49,7 +49,7 @@ class Window:
     @property
     def is_whole(self) -> bool:
         """Whether nothing of the lattice lies outside."""
-        return self.low == (0,) * self.lattice.ndim and self.high == tuple(self.lattice.shape)
+        return self.low == (0,) * self.lattice.ndim and self.high == self.lattice.shape
 
     @property
     def box(self) -> tuple[slice, ...]:
