@@ -58,8 +58,10 @@ def newton(
 
 
 def _line_search(residual: Residual, x: np.ndarray, r: np.ndarray, dx: np.ndarray, norms: list[float]) -> tuple[np.ndarray, np.ndarray]:
-    """Halve the step until the residual, or its work on the step, comes down."""
+    """Halve the step until the residual, or its work on the step, comes down; in the first steps it may also grow a little."""
     norm, work = norms[-1], abs(dx @ r)
+    if len(norms) <= 4:
+        norm = 10.0 * max(norms)
     for halvings in range(8):
         trial = x + 0.5**halvings * dx
         r_trial = residual(trial)

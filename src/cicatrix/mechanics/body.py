@@ -12,9 +12,25 @@ import scipy.sparse as sp
 from jax import Array
 
 from ..materials.material import EnergyMaterial
-from .elements import Bulk, Membrane, bulk_energy, bulk_force, bulk_tangent, deformation_gradient, membrane_energy, membrane_force, tangent
+from .elements import (
+    Bulk,
+    Linearised,
+    Membrane,
+    bulk_energy,
+    bulk_force,
+    deformation_gradient,
+    dilation,
+    linearised,
+    membrane_energy,
+    membrane_force,
+    tangent,
+    tied_force,
+)
 from .pattern import Pattern
 from .space import Space
+
+# the fused code generator of XLA takes twice as long to compile these kernels, and they run no faster for it
+COMPILER = {"xla_cpu_use_fusion_emitters": False}
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,26 +132,46 @@ class Body:
         active[self.frame.space.element_nodes[self.fraction > 0.0]] = True
         return active
 
-    def residual(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray) -> np.ndarray:
-        """Internal minus external force per depth: X, x (n_nodes, 3) [mm], gravity (3,) [mm/s^2] -> (n_nodes, 3) [mN/mm]."""
-        cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
-        return self.frame.scatter(_forces(self._tables, X[cells], x[cells], X[edges], x[edges], self._bulk, self._membrane, gravity))
+    def dilation(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Volume ratio, linear in each element, at quadrature points: X, x (n_nodes, 3) [mm] -> (n_elements, n_qp) [1]."""
+        cells = self.frame.space.element_nodes
+        return np.asarray(_dilations(self._tables, X[cells], x[cells], self._bulk))
 
-    def tangent(
-        self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, *, by: str, in_plane: bool, damping: float = 0.0
-    ) -> sp.csr_array:
-        """Derivative of the residual ``by`` "x" (current) or "X" (reference positions), on the free dofs.
+    def residual(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, J_bar: np.ndarray | None = None) -> np.ndarray:
+        """Internal minus external force per depth -> (n_nodes, 3) [mN/mm].
+
+        X, x (n_nodes, 3) [mm], gravity (3,) [mm/s^2]; J_bar (n_elements, n_qp) is ``dilation`` unless given.
+        """
+        J_bar = self.dilation(X, x) if J_bar is None else J_bar
+        return self.frame.scatter(_forces(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane, gravity))
+
+    def linearised(
+        self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, *, in_plane: bool, damping: float = 0.0
+    ) -> tuple[sp.csr_array, np.ndarray, Linearised]:
+        """Stiffness on the free dofs, force of the volume gap (n_nodes, 3) [mN/mm], and the elements' linearisation.
 
         Rows of nodes that no tissue holds are those of the identity; ``damping`` times the nodal mass [kg/mm] is added
         to the diagonal.
         """
-        cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
-        matrices = _tangents(self._tables, by, X[cells], x[cells], X[edges], x[edges], self._bulk, self._membrane, gravity)
+        elements, skin = _linearisations(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane)
         free, pattern = self.frame.solved(in_plane)
         diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
         if damping:
             diagonal += damping * np.repeat(self.lumped_mass(X), 3)[free]
+        matrix = pattern.assemble([np.asarray(elements.stiffness), np.asarray(skin)], diagonal)
+        gap_force = self.frame.scatter([elements.gap_force, np.zeros(self.frame.skin_nodes.shape + (3,))])
+        return matrix, gap_force, elements
+
+    def reference_tangent(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, *, in_plane: bool) -> sp.csr_array:
+        """Derivative of the residual by the reference positions X on the free dofs [mN/mm^2]."""
+        matrices = _reference_tangents(self._tables, *self._gather(X, x), self._bulk, self._membrane, gravity)
+        free, pattern = self.frame.solved(in_plane)
+        diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
         return pattern.assemble([np.asarray(m) for m in matrices], diagonal)
+
+    def _gather(self, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
+        cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
+        return X[cells], x[cells], X[edges], x[edges]
 
     def energy_density(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Strain energy per reference volume of tissue at quadrature points -> (n_elements, n_qp) [kPa]; 0 where open."""
@@ -193,37 +229,52 @@ def section_areas(space: Space, X: np.ndarray) -> np.ndarray:
 def deformation_gradients(space: Space, X: np.ndarray, x: np.ndarray) -> np.ndarray:
     """F = dx/dX at quadrature points: X, x (n_nodes, 3) [mm] -> (n_elements, n_qp, 3, 3) [1]."""
     cells = space.element_nodes
-    return np.asarray(deformation_gradient(X[cells], x[cells], space.table.gradient))
+    return np.asarray(_gradients(_Tables(space), X[cells], x[cells]))
 
 
-@partial(jax.jit, static_argnums=0)
-def _forces(tables, X_cells, x_cells, X_edges, x_edges, bulk, membrane, gravity):
-    return [bulk_force(X_cells, x_cells, bulk, gravity, tables.bulk), membrane_force(X_edges, x_edges, membrane, tables.edge)]
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _gradients(tables, X_cells, x_cells):
+    return deformation_gradient(X_cells, x_cells, tables.bulk.gradient)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _tangents(tables, by, X_cells, x_cells, X_edges, x_edges, bulk, membrane, gravity):
-    if by == "x":
-        return [
-            bulk_tangent(X_cells, x_cells, bulk, tables.bulk),
-            tangent(lambda y: membrane_force(X_edges, y, membrane, tables.edge), x_edges),
-        ]
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _dilations(tables, X_cells, x_cells, bulk):
+    return dilation(X_cells, x_cells, bulk, tables.bulk)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _forces(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane, gravity):
+    cells = bulk_force(X_cells, x_cells, J_bar, bulk, gravity, tables.bulk)
+    return [cells, membrane_force(X_edges, x_edges, membrane, tables.edge)]
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _linearisations(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane):
+    skin = tangent(lambda y: membrane_force(X_edges, y, membrane, tables.edge), x_edges)
+    return linearised(X_cells, x_cells, J_bar, bulk, tables.bulk), skin
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _reference_tangents(tables, X_cells, x_cells, X_edges, x_edges, bulk, membrane, gravity):
     return [
-        tangent(lambda Y: bulk_force(Y, x_cells, bulk, gravity, tables.bulk), X_cells),
+        tangent(lambda Y: tied_force(Y, x_cells, bulk, gravity, tables.bulk), X_cells),
         tangent(lambda Y: membrane_force(Y, x_edges, membrane, tables.edge), X_edges),
     ]
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
 def _energies(tables, X_cells, x_cells, bulk):
     return bulk_energy(X_cells, x_cells, bulk, tables.bulk)
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
 def _skin_energies(tables, X_edges, x_edges, membrane):
     return membrane_energy(X_edges, x_edges, membrane, tables.edge)
 
 
+KERNELS = (_dilations, _forces, _linearisations, _reference_tangents, _energies, _skin_energies, _gradients)
+
+
 def compiled_variants() -> int:
     """How many variants of the kernels have been compiled in this process; a healing cycle must not raise it."""
-    return sum(f._cache_size() for f in (_forces, _tangents, _energies, _skin_energies))
+    return sum(f._cache_size() for f in KERNELS)

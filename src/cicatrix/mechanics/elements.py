@@ -66,23 +66,27 @@ def dilated(F: Array, J_bar: Array) -> Array:
     return jnp.cbrt(J_bar / det(F))[..., None, None] * F
 
 
-def projected(X: Array, x: Array, table: Table) -> tuple[Array, Array, Array, Array]:
-    """F, its element-wise linear volume ratio J_bar, the projection, and weights [mm^2] at quadrature points.
-
-    The pressure then lives in the discontinuous linear space, which with the bubble is stable and of full order however
-    incompressible the tissue (Crouzeix & Raviart 1973).
-    """
+def kinematics(X: Array, x: Array, table: Table) -> tuple[Array, Array, Array]:
+    """F [1], L2 projection on linear functions, and weights [mm^2] at quadrature points: X, x (n, a, 3) [mm]."""
     X_map = local_map(X, table.gradient)
     weights = table.weight * jnp.abs(det(X_map))  # the mesh library orients triangles either way
-    F = local_map(x, table.gradient) @ inv(X_map)
-    projection = linear_projection(table.points, weights)
-    return F, jnp.einsum("eqr,er->eq", projection, det(F)), projection, weights
+    return local_map(x, table.gradient) @ inv(X_map), linear_projection(table.points, weights), weights
+
+
+def dilation(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
+    """Element-wise linear projection J_bar of the volume ratio, at quadrature points: X, x (n, 7, 3) [mm] -> (n, n_qp).
+
+    Pressure and volume then live in the discontinuous linear space, which with the bubble is stable and of full order
+    however incompressible the tissue (Crouzeix & Raviart 1973; three fields as in Simo, Taylor & Pister 1985).
+    """
+    F, projection, _ = kinematics(X, _tissue_only(X, x, bulk), table)
+    return jnp.einsum("eqr,er->eq", projection, det(F))
 
 
 def bulk_energy(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
     """Strain energy per reference volume at quadrature points: X, x (n, 7, 3) [mm] -> (n, n_qp) [kPa]."""
-    F, J_bar, _, _ = projected(X, _tissue_only(X, x, bulk), table)
-    return bulk.law.energy(dilated(F, J_bar))
+    F, _, _ = kinematics(X, _tissue_only(X, x, bulk), table)
+    return bulk.law.energy(dilated(F, dilation(X, x, bulk, table)))
 
 
 def _tissue_only(X: Array, x: Array, bulk: Bulk) -> Array:
@@ -111,28 +115,40 @@ def slopes(X: Array, table: Table) -> Array:
     return jnp.einsum("qab,eqbJ->eqaJ", table.gradient, inverse)
 
 
-def bulk_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
-    """Internal minus gravity forces per depth on the nodes: X, x (n, 7, 3) [mm] -> (n, 7, 3) [mN/mm]."""
-    x = _tissue_only(X, x, bulk)
-    F, J_bar, projection, weights = projected(X, x, table)
-    _, mean_stress = point_stress(bulk.law, F, J_bar, jnp.zeros_like(J_bar))
-    P, _ = point_stress(bulk.law, F, J_bar, jnp.einsum("eqr,er->eq", projection, mean_stress))
+def bulk_force(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
+    """Internal minus gravity forces per depth on the nodes: X, x (n, 7, 3) [mm], J_bar (n, n_qp) -> (n, 7, 3) [mN/mm]."""
+    F, projection, weights = kinematics(X, _tissue_only(X, x, bulk), table)
+    P, _ = point_stress(bulk.law, F, J_bar, _pressure(bulk.law, F, J_bar, projection))
     weights = weights * bulk.fraction[:, None]
     internal = jnp.einsum("eq,eqiJ,eqaJ->eai", weights, P, slopes(X, table))
     mass = weights * bulk.density
     return internal - jnp.einsum("eq,qa->ea", mass, table.value)[..., None] * gravity
 
 
-def bulk_tangent(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
-    """Derivative of ``bulk_force`` by x, contracted by hand: (n, 7, 3) [mm] -> (n, 21, 21) [mN/mm^2].
+def _pressure(law: EnergyMaterial, F: Array, J_bar: Array, projection: Array) -> Array:
+    """Projection of the mean stress (n, n_qp) [kPa]."""
+    _, mean_stress = point_stress(law, F, J_bar, jnp.zeros_like(J_bar))
+    return jnp.einsum("eqr,er->eq", projection, mean_stress)
 
-    ``tangent(bulk_force)`` is its slow twin.
-    """
+
+class Linearised(NamedTuple):
+    """First order of ``bulk_force`` about (x, J_bar), with J_bar then tied to x again: J_bar + dJ_bar = J_bar(x + dx)."""
+
+    stiffness: Array
+    """Change of force by dx (n, 21, 21) [mN/mm^2]."""
+    gap_force: Array
+    """Change of force that closes the gap between J_bar(x) and J_bar (n, 7, 3) [mN/mm]."""
+    gap: Array
+    """J_bar(x) - J_bar (n, n_qp) [1]."""
+    volume_rate: Array
+    """Change of J_bar(x) by dx (n, n_qp, 21) [1/mm]."""
+
+
+def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Linearised:
+    """Contract the point tangents to element matrices; ``tangent`` of ``tied_force`` is the slow twin where gap = 0."""
     x = _tissue_only(X, x, bulk)
-    F, J_bar, projection, weights = projected(X, x, table)
-    _, mean_stress = point_stress(bulk.law, F, J_bar, jnp.zeros_like(J_bar))
-    pressure = jnp.einsum("eqr,er->eq", projection, mean_stress)
-    by_F, by_J = _point_derivatives(bulk.law, F, J_bar, pressure)
+    F, projection, weights = kinematics(X, x, table)
+    by_F, by_J = _point_derivatives(bulk.law, F, J_bar, _pressure(bulk.law, F, J_bar, projection))
     weights = (weights * bulk.fraction[:, None])[..., None]
     B = slopes(X, table)
     n, n_qp, a, _ = B.shape
@@ -141,9 +157,16 @@ def bulk_tangent(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
     A = (weights[..., None] * by_F[0].reshape(n, n_qp, 9, 9)) @ strain.reshape(n, n_qp, 9, 3 * a)
     forward = jnp.einsum("eqaJ,eqiJ->eqai", B, by_J[0]).reshape(n, n_qp, 3 * a)
     backward = jnp.einsum("eqaJ,eqiJ->eqai", B, by_F[1]).reshape(n, n_qp, 3 * a)
+    per_volume = weights * (forward + by_J[1][..., None] * dJ)
     K = jnp.swapaxes(strain, 1, 2) @ A.reshape(n, n_qp * 9, 3 * a)
-    K += jnp.swapaxes(weights * forward, 1, 2) @ dJ
-    return K + jnp.swapaxes(weights * dJ, 1, 2) @ (backward + by_J[1][..., None] * dJ)
+    K += jnp.swapaxes(per_volume, 1, 2) @ dJ + jnp.swapaxes(weights * dJ, 1, 2) @ backward
+    gap = jnp.einsum("eqr,er->eq", projection, det(F)) - J_bar
+    return Linearised(K, jnp.einsum("eqm,eq->em", per_volume, gap).reshape(n, a, 3), gap, dJ)
+
+
+def tied_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
+    """``bulk_force`` at J_bar = J_bar(x), the gradient of the energy: X, x (n, 7, 3) [mm] -> (n, 7, 3) [mN/mm]."""
+    return bulk_force(X, x, dilation(X, x, bulk, table), bulk, gravity, table)
 
 
 def _point_derivatives(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array):

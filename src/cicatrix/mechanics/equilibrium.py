@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cached_property
+
 import numpy as np
+import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError
 from ..core.linear import LinearSolver, linear_solver
 from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body
+
+START_VOLUME = 0.01  # how far from 1 the volume ratio of a starting shape is believed
 
 
 class Equilibrium:
@@ -56,7 +62,7 @@ class Equilibrium:
         report = NewtonReport()
         if start is not None:
             try:
-                return self._solve(body, X, start, gravity, gravity, "x", report), report
+                return self._newton(_Problem(body, X, start, gravity, gravity), report), report
             except ConvergenceError as error:
                 report.history.append(f"from the nearby shape: {error.history[-1]}")
         else:
@@ -65,7 +71,7 @@ class Equilibrium:
 
         def advance(x: np.ndarray, factor: float) -> np.ndarray:
             nonlocal reached
-            reached = self._solve(body, X, x, factor * gravity, gravity, "x", report)
+            reached = self._newton(_Problem(body, X, x, factor * gravity, gravity), report)
             return reached
 
         try:
@@ -73,7 +79,7 @@ class Equilibrium:
         except ConvergenceError:
             report.history.append("downhill in potential energy from the last load factor")
             try:
-                return self._solve(body, X, reached, gravity, gravity, "x", report, damped=True), report
+                return self._minimise(_Problem(body, X, reached, gravity, gravity), report), report
             except ConvergenceError as error:
                 raise ConvergenceError(str(error), report.history + error.history) from error
 
@@ -97,50 +103,120 @@ class Equilibrium:
             With everything that was tried.
         """
         report = NewtonReport()
-        advance = lambda X, factor: self._solve(body, X, x, factor * gravity, gravity, "X", report)  # noqa: E731
+
+        def advance(X: np.ndarray, factor: float) -> np.ndarray:
+            return self._newton_reference(_Problem(body, x, X, factor * gravity, gravity), report)
+
         return ramp(advance, x, report), report
 
-    def _solve(
-        self, body: Body, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, full: np.ndarray, unknown: str, report: NewtonReport, damped: bool = False
-    ) -> np.ndarray:
-        in_plane = bool(full[2] == 0.0)
-        free, _ = body.frame.solved(in_plane)
-        active = np.repeat(body.active_nodes, 3)[free]
-        fixed = x if unknown == "X" else X
+    def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
+        """Newton on positions and volume ratios together, the ratios eliminated element by element.
 
-        def positions(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            moved = (X if unknown == "X" else x).copy()
-            moved.reshape(-1)[free] = values
-            return (moved, fixed) if unknown == "X" else (fixed, moved)
+        Carrying the volume ratio along keeps the pressure of a trial shape small, so the iteration bears large steps
+        however incompressible the tissue is.
+        """
+        body, n = problem.body, problem.free.size
+        shape = (body.frame.space.n_elements, body.frame.space.table.weight.size)
+        scale = problem.weight / np.sqrt(np.prod(shape))
+
+        def residual(z: np.ndarray) -> np.ndarray:
+            x, J_bar = problem.positions(z[:n]), z[n:].reshape(shape)
+            r = problem.free_part(body.residual(problem.X, x, problem.gravity, J_bar))
+            return np.concatenate([r, scale * (body.dilation(problem.X, x) - J_bar).ravel()])
+
+        def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
+            x, J_bar = problem.positions(z[:n]), z[n:].reshape(shape)
+            matrix, gap_force, elements = body.linearised(problem.X, x, J_bar, in_plane=problem.in_plane)
+            du = self._solve_linear("x", problem, matrix, -(r[:n] + problem.free_part(gap_force)))
+            moved = (problem.positions(z[:n] + du) - x)[body.frame.space.element_nodes].reshape(shape[0], 1, -1)
+            dJ = np.sum(np.asarray(elements.volume_rate) * moved, axis=-1) + np.asarray(elements.gap)
+            return np.concatenate([du, dJ.ravel()])
+
+        J_start = np.clip(body.dilation(problem.X, problem.x), 1.0 - START_VOLUME, 1.0 + START_VOLUME)
+        z = np.concatenate([problem.x.reshape(-1)[problem.free], J_start.ravel()])
+        z = newton(residual, step, z, tolerance=self.relative_tolerance * problem.weight, report=report)
+        return problem.positions(z[:n])
+
+    def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
+        """Walk down the potential energy."""
+        body = problem.body
+
+        def energy(values: np.ndarray) -> float:
+            return body.potential(problem.X, problem.positions(values), problem.gravity)
 
         def residual(values: np.ndarray) -> np.ndarray:
-            return np.where(active, body.residual(*positions(values), gravity).reshape(-1)[free], 0.0)
+            return problem.free_part(body.residual(problem.X, problem.positions(values), problem.gravity))
 
-        def step(values: np.ndarray, r: np.ndarray, damping: float = 0.0) -> np.ndarray:
-            solver = self._linear_solver(unknown, in_plane)
-            scaled = damping * np.linalg.norm(full)
-            solver.factor(body.tangent(*positions(values), gravity, by=unknown, in_plane=in_plane, damping=scaled))
-            return solver.solve(-r)
+        def step(values: np.ndarray, r: np.ndarray, damping: float) -> np.ndarray:
+            x = problem.positions(values)
+            damping *= max(np.linalg.norm(problem.gravity), 1.0)
+            matrix, _, _ = body.linearised(problem.X, x, body.dilation(problem.X, x), in_plane=problem.in_plane, damping=damping)
+            return self._solve_linear("x", problem, matrix, -r)
 
-        tolerance = self.relative_tolerance * _weight(body, X if unknown == "x" else x, full)
-        start = (X if unknown == "X" else x).reshape(-1)[free]
-        if damped:
-            energy = lambda values: body.potential(*positions(values), gravity)  # noqa: E731
-            values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
-        else:
-            values = newton(residual, step, start, tolerance=tolerance, report=report)
-        moved = positions(values)
-        return moved[0] if unknown == "X" else moved[1]
+        start = problem.x.reshape(-1)[problem.free]
+        tolerance = self.relative_tolerance * problem.weight
+        return problem.positions(minimise(energy, residual, step, start, tolerance=tolerance, report=report))
 
-    def _linear_solver(self, unknown: str, in_plane: bool) -> LinearSolver:
-        key = (unknown, in_plane)
+    def _newton_reference(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
+        """Newton on the reference positions; ``problem.x`` are the unknowns' start, ``problem.X`` the loaded shape."""
+        body = problem.body
+
+        def residual(values: np.ndarray) -> np.ndarray:
+            return problem.free_part(body.residual(problem.positions(values), problem.X, problem.gravity))
+
+        def step(values: np.ndarray, r: np.ndarray) -> np.ndarray:
+            X = problem.positions(values)
+            matrix = body.reference_tangent(X, problem.X, problem.gravity, in_plane=problem.in_plane)
+            return self._solve_linear("X", problem, matrix, -r)
+
+        start = problem.x.reshape(-1)[problem.free]
+        tolerance = self.relative_tolerance * problem.weight
+        return problem.positions(newton(residual, step, start, tolerance=tolerance, report=report))
+
+    def _solve_linear(self, unknown: str, problem: _Problem, matrix: sp.csr_array, rhs: np.ndarray) -> np.ndarray:
+        key = (unknown, problem.in_plane)
         if key not in self._linear:
             self._linear[key] = linear_solver(symmetric=unknown == "x")
-        return self._linear[key]
+        self._linear[key].factor(matrix)
+        return self._linear[key].solve(rhs)
 
 
-def _weight(body: Body, positions: np.ndarray, gravity: np.ndarray) -> float:
-    """Norm of the nodal weights [mN/mm]: what the residual is measured against."""
-    mass = np.einsum("eq,qa->ea", body.density * body.volumes(positions) * body.fraction[:, None], body.frame.space.table.value)
-    nodal = np.bincount(body.frame.space.element_nodes.ravel(), weights=mass.ravel(), minlength=body.frame.space.n_nodes)
-    return float(np.linalg.norm(nodal) * max(np.linalg.norm(gravity), 1.0))
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """One nonlinear solve: a body, the known shape X, the start x of the unknown one, gravity now and in full."""
+
+    body: Body
+    X: np.ndarray
+    x: np.ndarray
+    gravity: np.ndarray
+    full: np.ndarray
+
+    @property
+    def in_plane(self) -> bool:
+        """Nothing pulls along the section's normal."""
+        return bool(self.full[2] == 0.0)
+
+    @cached_property
+    def free(self) -> np.ndarray:
+        """Degrees of freedom solved for."""
+        return self.body.frame.solved(self.in_plane)[0]
+
+    @cached_property
+    def _active(self) -> np.ndarray:
+        return np.repeat(self.body.active_nodes, 3)[self.free]
+
+    @cached_property
+    def weight(self) -> float:
+        """Norm of the nodal weights [mN/mm]: what the residual is measured against."""
+        mass = self.body.lumped_mass(self.X)
+        return float(np.linalg.norm(mass) * max(np.linalg.norm(self.full), 1.0))
+
+    def positions(self, values: np.ndarray) -> np.ndarray:
+        """All positions (n_nodes, 3) from the free ones."""
+        out = self.x.copy()
+        out.reshape(-1)[self.free] = values
+        return out
+
+    def free_part(self, forces: np.ndarray) -> np.ndarray:
+        """Forces (n_nodes, 3) on the free degrees of freedom, 0 where no tissue holds the node."""
+        return np.where(self._active, forces.reshape(-1)[self.free], 0.0)

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from ..materials.neo_hookean import NeoHookean
-from .body import Body, Frame
+from .body import Frame, section_areas
+from .elements import slopes
+from .pattern import Pattern
+from .space import Space
 
 
 class Extension:
@@ -25,29 +27,29 @@ class Extension:
     """
 
     def __init__(self, frame: Frame, X: np.ndarray) -> None:
-        filling = Body(
-            frame,
-            law=NeoHookean(1.0, 1.0),
-            density=np.zeros((frame.space.n_elements, frame.space.table.weight.size)),
-            fraction=np.ones(frame.space.n_elements),
-            skin=NeoHookean(0.0, 0.0),
-            skin_thickness=np.zeros(len(frame.skin_facets)),
-        )
-        self._frame, self._X, self._filling = frame, X, filling
+        self._frame, self._X = frame, X
+        self._stiffness = _linear_stiffness(frame.space, X)
+        self._pattern = Pattern(frame.blocks[:1], np.arange(3 * frame.space.n_nodes), 3 * frame.space.n_nodes)
+        self._no_diagonal = np.zeros(3 * frame.space.n_nodes)
 
     def fill(self, x: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """Positions with the open nodes moved along: x (n_nodes, 3) [mm], fraction (n_elements,) -> (n_nodes, 3) [mm]."""
-        nodes = self._frame.space.element_nodes
         held = np.zeros(self._frame.space.n_nodes, bool)
-        held[nodes[fraction > 0.0]] = True
+        held[self._frame.space.element_nodes[fraction > 0.0]] = True
+        held[self._frame.fixed_nodes] = True
         if held.all():
             return x
-        filling = self._filling.with_tissue(self._filling.law, self._filling.density, (fraction == 0.0).astype(float))
-        free, _ = self._frame.solved(False)
-        K = filling.tangent(self._X, self._X, np.zeros(3), by="x", in_plane=False)
-        open_dofs = ~np.repeat(held, 3)[free]
-        u = (x - self._X).reshape(-1)[free]
-        u[open_dofs] = splu(K[open_dofs][:, open_dofs].tocsc()).solve(-K[open_dofs][:, ~open_dofs] @ u[~open_dofs])
-        out = x.copy()
-        out.reshape(-1)[free] = self._X.reshape(-1)[free] + u
-        return out
+        K = self._pattern.assemble([self._stiffness * (fraction == 0.0)[:, None, None]], self._no_diagonal)
+        is_open = ~np.repeat(held, 3)
+        u = (x - self._X).reshape(-1)
+        u[is_open] = splu(K[is_open][:, is_open].tocsc()).solve(-K[is_open][:, ~is_open] @ u[~is_open])
+        return self._X + u.reshape(-1, 3)
+
+
+def _linear_stiffness(space: Space, X: np.ndarray) -> np.ndarray:
+    """Element matrices of an elastic filling with both Lame constants 1 (n_elements, 21, 21)."""
+    grad = np.asarray(slopes(X[space.element_nodes], space.table))
+    weights = section_areas(space, X)
+    products = np.einsum("eq,eqaJ,eqbK->eaJbK", weights, grad, grad)
+    laplacian = np.einsum("eaJbJ->eab", products)[:, :, None, :, None] * np.eye(3)[:, None, :]
+    return (laplacian + products + products.transpose(0, 1, 4, 3, 2)).reshape(len(grad), grad.shape[2] * 3, -1)
