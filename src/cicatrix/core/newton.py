@@ -24,7 +24,7 @@ Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def newton(
-    residual: Residual, step: Step, x: np.ndarray, *, tolerance: float, report: NewtonReport, max_iterations: int = 16
+    residual: Residual, step: Step, x: np.ndarray, *, tolerance: float, report: NewtonReport, max_iterations: int = 12
 ) -> np.ndarray:
     """Solve residual(x) = 0.
 
@@ -45,7 +45,7 @@ def newton(
     r = residual(x)
     norms = [float(np.linalg.norm(r))]
     while not norms[-1] <= tolerance:
-        if len(norms) > max_iterations or not np.isfinite(norms[-1]):
+        if len(norms) > max_iterations or not norms[-1] <= 1e3 * max(norms[0], tolerance):
             raise _failure(norms, "no convergence")
         try:
             dx = step(x, r)
@@ -84,7 +84,7 @@ def minimise(
     tolerance: float,
     report: NewtonReport,
     damping: float = 1.0,
-    max_iterations: int = 400,
+    max_iterations: int = 120,
 ) -> np.ndarray:
     """Walk downhill in ``energy`` to a stationary point, residual = d energy / dx = 0.
 

@@ -37,6 +37,11 @@ def inv(F: Array) -> Array:
     return jnp.swapaxes(cofactor(F), -1, -2) / det(F)[..., None, None]
 
 
+def product(A: Array, B: Array) -> Array:
+    """Matrix product A B: (..., 3, 3), (..., 3, 3) -> (..., 3, 3); fuses with its neighbours, which a batched dot does not."""
+    return sum(A[..., :, k, None] * B[..., None, k, :] for k in range(3))
+
+
 def first_invariant(F: Array) -> Array:
     """I1 = tr(F^T F): (..., 3, 3) -> (...)."""
     return jnp.sum(F * F, axis=(-2, -1))

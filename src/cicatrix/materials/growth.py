@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from jax import Array
 
-from ..core.tensors import det, inv
+from ..core.tensors import det, inv, product
 from .material import EnergyMaterial, State
 
 
@@ -30,7 +30,7 @@ class NaturalConfiguration(EnergyMaterial):
 
     def energy(self, F: Array, state: State = ()) -> Array:
         """Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
-        return det(self.F_n) * self.law.energy(F @ inv(self.F_n), state)
+        return det(self.F_n) * self.law.energy(product(F, inv(self.F_n)), state)
 
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The law's own history."""
@@ -38,4 +38,4 @@ class NaturalConfiguration(EnergyMaterial):
 
     def advance(self, F: Array, state: State, dt: float) -> State:
         """Advance the law at its elastic deformation."""
-        return self.law.advance(F @ inv(self.F_n), state, dt)
+        return self.law.advance(product(F, inv(self.F_n)), state, dt)

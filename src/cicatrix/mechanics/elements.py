@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..core.tensors import cofactor, det, inv
+from ..core.tensors import cofactor, det, inv, product
 from ..materials.material import EnergyMaterial
 from .space import Table
 
@@ -48,7 +48,7 @@ def local_map(x: Array, gradient: np.ndarray) -> Array:
 
 def deformation_gradient(X: Array, x: Array, gradient: np.ndarray) -> Array:
     """F = dx/dX at quadrature points: X, x (n, n_shape, 3) [mm] -> (n, n_qp, 3, 3) [1]."""
-    return local_map(x, gradient) @ inv(local_map(X, gradient))
+    return product(local_map(x, gradient), inv(local_map(X, gradient)))
 
 
 def linear_projection(points: np.ndarray, weights: Array) -> Array:
@@ -70,7 +70,7 @@ def kinematics(X: Array, x: Array, table: Table) -> tuple[Array, Array, Array]:
     """F [1], L2 projection on linear functions, and weights [mm^2] at quadrature points: X, x (n, a, 3) [mm]."""
     X_map = local_map(X, table.gradient)
     weights = table.weight * jnp.abs(det(X_map))  # the mesh library orients triangles either way
-    return local_map(x, table.gradient) @ inv(X_map), linear_projection(table.points, weights), weights
+    return product(local_map(x, table.gradient), inv(X_map)), linear_projection(table.points, weights), weights
 
 
 def dilation(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
