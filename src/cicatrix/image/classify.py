@@ -15,51 +15,45 @@ ROUNDS = 3
 def gland_probability(image: Volume, inside: np.ndarray, fat_bright: bool) -> np.ndarray:
     """Probability of gland against fat: (nz, ny, nx) image, bool mask -> (nz, ny, nx) float32, 0 outside the mask.
 
-    Two Gaussians on the logarithm of the intensity, fitted by expectation-maximisation that alternates with a smooth
-    log-bias estimated from the fat (Wells et al., IEEE TMI 15 (1996)); then one mean-field sweep towards the
-    neighbourhood's mean, which is the spatial prior.
+    Soft two-means on the intensity that alternates with a smooth log-bias estimated from the fat (in the manner of
+    Wells et al., IEEE TMI 15 (1996)); then one mean-field step towards the neighbourhood's mean, the spatial prior.
+    A Gaussian mixture was tried and dropped: fat is so narrow that every partial-volume voxel became gland.
     """
     floor = 0.02 * float(np.median(image.values[inside])) + 1e-6
     log = np.log(np.maximum(image.values, floor)).astype(np.float32)
-    sign = -1.0 if fat_bright else 1.0  # gland is darker or brighter than fat
     field = np.zeros_like(log)
     sigma = [FIELD_MM / s for s in image.spacing_mm[::-1]]
     p = np.zeros_like(log)
     for _ in range(ROUNDS):
-        p[inside] = _two_gaussians(sign * (log - field)[inside])
-        weight = np.where(inside, (1 - p) ** 2, 0).astype(np.float32)
+        p[inside] = _soft_two_means(np.exp(log - field)[inside], fat_bright)
+        weight = np.where(inside, (1 - p) ** 4, 0).astype(np.float32)
         mean = float(np.sum(weight * log) / np.sum(weight))
         residual = ndi.gaussian_filter(weight * (log - mean), sigma, truncate=2.5)
         field = residual / np.maximum(ndi.gaussian_filter(weight, sigma, truncate=2.5), 1e-3)
     return _spatial(p, inside, image.spacing_mm)
 
 
-def _two_gaussians(v: np.ndarray, n_iterations: int = 40) -> np.ndarray:
-    """Posterior of the upper of two Gaussians in log-intensity: (n,) -> (n,).
+def _soft_two_means(v: np.ndarray, fat_bright: bool, n_iterations: int = 25) -> np.ndarray:
+    """Membership of gland: intensities (n,) -> (n,).
 
-    The upper mean is kept at least log 1.6 above the lower, so that a breast without gland is not split in two.
+    The mixing fraction f between the means of fat and gland goes through a logistic at f = 1/2. The mean of gland is
+    kept at most 0.6 of fat's (T1) or at least 1.6 times it (fat-saturated): a breast without gland is not split in two.
     """
     sample = v[:: max(len(v) // 60000, 1)]
-    low, high = np.quantile(sample, [0.4, 0.95])
-    mean = np.array([low, max(high, low + np.log(1.8))])
-    sd, share = np.array([0.15, 0.3]), np.array([0.8, 0.2])
+    fat, gland = np.quantile(sample, [0.7, 0.05] if fat_bright else [0.3, 0.97])
     for _ in range(n_iterations):
-        r = _posterior(sample, mean, sd, share)
-        weight = np.array([(1 - r).sum(), r.sum()]) + 1e-6
-        mean = np.array([((1 - r) * sample).sum(), (r * sample).sum()]) / weight
-        mean[1] = max(mean[1], mean[0] + np.log(1.6))
-        var = np.array([((1 - r) * (sample - mean[0]) ** 2).sum(), (r * (sample - mean[1]) ** 2).sum()]) / weight
-        sd = np.clip(np.sqrt(var), 0.05, 0.45)
-        share = np.clip(weight / weight.sum(), 0.02, 0.98)
-    return _posterior(v, mean, sd, share)
+        gland = min(gland, 0.6 * fat) if fat_bright else max(gland, 1.6 * fat)
+        p = _logistic(sample, fat, gland)
+        fat = np.sum((1 - p) ** 2 * sample) / np.sum((1 - p) ** 2 + 1e-9)
+        gland = np.sum(p**2 * sample) / max(np.sum(p**2), 1e-9)
+    gland = min(gland, 0.6 * fat) if fat_bright else max(gland, 1.6 * fat)
+    return _logistic(v, fat, gland)
 
 
-def _posterior(v: np.ndarray, mean: np.ndarray, sd: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Posterior of the upper Gaussian, monotone in ``v`` beyond the two means."""
-    v = np.clip(v, mean[0], mean[1])
-    log_odds = np.log(share[1] / share[0] * sd[0] / sd[1])
-    log_odds = log_odds + 0.5 * ((v - mean[0]) / sd[0]) ** 2 - 0.5 * ((v - mean[1]) / sd[1]) ** 2
-    return 1 / (1 + np.exp(-np.clip(log_odds, -30, 30)))
+def _logistic(v: np.ndarray, fat: float, gland: float) -> np.ndarray:
+    """Membership of gland from the mixing fraction between two means."""
+    fraction = (v - fat) / (gland - fat)
+    return 1 / (1 + np.exp(-np.clip(12 * (fraction - 0.5), -30, 30)))
 
 
 def _spatial(p: np.ndarray, inside: np.ndarray, spacing_mm: tuple[float, float, float]) -> np.ndarray:

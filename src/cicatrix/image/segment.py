@@ -89,6 +89,7 @@ def segment(
     behind, columns, note = _chest(flat, body, weighting == "t1", side, chest_wall)
     breast = body & ~behind & columns[:, None, :]
     breast = _largest(breast)
+    body |= np.maximum.accumulate(body, axis=1) & behind  # lungs are dark, not air
     report("tissue", 0.65)
     box = _box(breast)
     probabilities, mass = _tissue(flat, body, breast, box, weighting, resection_centre_mm)
@@ -133,7 +134,9 @@ def _body(image: Volume) -> np.ndarray:
     if not top > 0 or np.ptp(smooth) < 1e-3 * top:
         raise InputError("image: no breast found, the image is empty or constant; give a T1-weighted breast MRI.")
     log = np.log(np.clip(smooth, 2e-3 * top, top))
-    rough = _largest(smooth > np.exp(_otsu(log)))
+    rough = _largest(ndi.binary_opening(smooth > np.exp(_otsu(log))))
+    if not rough.any():
+        raise InputError("image: no breast found, nothing stands out from the background; give a T1-weighted breast MRI.")
     rough = np.stack([ndi.binary_fill_holes(s) for s in rough])
     inside, outside = np.median(smooth[rough]), np.median(smooth[~rough]) if not rough.all() else np.inf
     if rough.sum() * np.prod(image.spacing_mm) < 1000 * LEAST_BODY_ML or inside < LEAST_CONTRAST * outside:

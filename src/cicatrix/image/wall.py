@@ -29,7 +29,6 @@ def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> float:
     """
     profile = ndi.gaussian_filter1d(np.nanmedian(skin_mm, axis=0), 3)
     here = sign * (x_mm - 0.5 * (x_mm[0] + x_mm[-1]))
-    centre = int(np.argmin(np.abs(x_mm - 0.5 * (x_mm[0] + x_mm[-1]))))
     third = np.abs(here) < 0.17 * np.ptp(x_mm)
     middle = np.flatnonzero(third)
     apex = [profile[: middle[0]].min(), profile[middle[-1] + 1 :].min()]
@@ -38,11 +37,8 @@ def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> float:
         return float(x_mm[deepest])  # two breasts
     peak = int(np.argmin(profile))
     medial = np.arange(peak, -1, -1) if sign > 0 else np.arange(peak, len(x_mm))
-    return (
-        float(x_mm[medial[np.argmax(profile[medial] > profile[medial].max() - 3.0)]])
-        if len(medial)
-        else float(x_mm[centre])
-    )
+    flat = x_mm[medial[np.argmax(profile[medial] > profile[medial].max() - 3.0)]]
+    return float(np.clip(flat - sign * 20.0, x_mm[0], x_mm[-1]))
 
 
 def prior(skin_mm: np.ndarray, x_mm: np.ndarray, midline_mm: float) -> np.ndarray:
@@ -99,8 +95,11 @@ def _contrast(image: Volume, fat_bright: bool) -> np.ndarray:
     ahead = ndi.shift(mean, (0, n / 2, 0), order=1, mode="nearest")
     behind = ndi.shift(mean, (0, -n / 2, 0), order=1, mode="nearest")
     floor = 0.1 * np.percentile(smooth, 90)
-    difference = (ahead - behind) / (ahead + behind + floor)
-    return difference if fat_bright else -difference
+    if not fat_bright:
+        return (behind - ahead) / (ahead + behind + floor)
+    size = [int(round(20.0 / sz)), int(round(60.0 / sy)), int(round(20.0 / sx))]
+    fat = ndi.maximum_filter(mean, [min(s, n) for s, n in zip(size, mean.shape)])
+    return 1.5 * (ahead - behind) / (fat + floor)  # against fat, else muscle to lung would count more than fat to muscle
 
 
 def _aggregate(cost: np.ndarray) -> np.ndarray:
