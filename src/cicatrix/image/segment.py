@@ -256,6 +256,7 @@ def _tissue(
     if inner.sum() < 1000:
         raise InputError("image: no breast found that is thick enough to tell its tissues; use smaller voxels.")
     gland = gland_probability(part, inner, weighting == "t1")
+    gland[ndi.binary_dilation(skin > 0.05)] = 0  # the voxels that share the skin are no gland
     tumour, note = np.zeros_like(inner), "no tumour class: give a label map to have one"
     if weighting == "t1-fatsat" and centre_mm is not None:
         tumour = bright_mass(part, inner, centre_mm)
