@@ -1,0 +1,190 @@
+"""Geometry of the digital breast: which tissue lies at a point, by implicit surfaces in millimetres."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+SKIN_MM = 1.45  # PHYSICS section 6
+SUBCUTANEOUS_MM = 11.0  # skin and fat over the chest beside the breast
+FILLET_MM = 8.0  # rounding where the breast meets the chest
+NIPPLE_MM = 5.0
+MUSCLE_MM = 12.0
+RIB_MM = 9.0
+WALL_RADIUS_MM = (220.0, 700.0)  # curvature of the chest wall across and along the body
+MIDLINE_MM = 78.0  # breast centre to midline
+N_LOBES = 16
+
+
+class Part(IntEnum):
+    """What the phantom is made of; finer than the labels, because chest tissues differ in brightness."""
+
+    AIR = 0
+    FAT = 1
+    GLAND = 2
+    SKIN = 3
+    TUMOUR = 4
+    CHEST_FAT = 5
+    CHEST_SKIN = 6
+    MUSCLE = 7
+    RIB = 8
+    LUNG = 9
+
+
+@dataclass(frozen=True)
+class Anatomy:
+    """A half-ellipsoid breast on a gently curved chest wall, nipple towards -y, breast centre on the wall at the origin.
+
+    Parameters
+    ----------
+    half_axes_mm : (3,) array
+        Half width (x), depth (y) and half height (z) of the breast [mm].
+    medial : float
+        -1 if the midline lies towards -x (left breast), +1 if towards +x.
+    lobe_axes : (n_lobes, 3) array
+        Unit vectors from the nipple into the breast.
+    waves, phases : (n_waves, 3) array [1/mm], (n_waves,) array
+        Random cosines that make the outlines irregular.
+    gland_level : float
+        The gland is where the lobe score exceeds this level [mm].
+    tumour_centre_mm : (3,) array
+        Centre of the tumour [mm].
+    tumour_radius_mm : float
+        Its mean radius [mm]; 0 for none.
+    """
+
+    half_axes_mm: np.ndarray
+    medial: float
+    lobe_axes: np.ndarray
+    waves: np.ndarray
+    phases: np.ndarray
+    gland_level: float
+    tumour_centre_mm: np.ndarray
+    tumour_radius_mm: float
+
+    def height(self, p: np.ndarray) -> np.ndarray:
+        """Distance in front of the chest wall along y: points (..., 3) [mm] -> (...) [mm]."""
+        across, along = WALL_RADIUS_MM
+        x = p[..., 0] - self.medial * MIDLINE_MM
+        wall = (x**2 - MIDLINE_MM**2) / (2 * across) + p[..., 2] ** 2 / (2 * along)
+        return wall - p[..., 1]
+
+    def outside(self, p: np.ndarray, a: np.ndarray) -> np.ndarray:
+        """Signed distance to the outer surface, negative inside: points (..., 3), heights (...) [mm] -> (...) [mm]."""
+        q = np.stack([p[..., 0], a, p[..., 2]], axis=-1)
+        breast = _ellipsoid(q, self.half_axes_mm)
+        nipple = np.linalg.norm(q - [0, self.half_axes_mm[1], 0], axis=-1) - NIPPLE_MM
+        torso = 0.95 * (a - SUBCUTANEOUS_MM)
+        return _smooth_union(_smooth_union(breast, nipple, 2.0), torso, FILLET_MM)
+
+    def lobe_score(self, q: np.ndarray) -> np.ndarray:
+        """How deep inside a lobe: points (..., 3) as x, height, z [mm] -> (...) [mm]; far below zero in the fat layers."""
+        away = q - np.array([0, self.half_axes_mm[1] - 2.0, 0], q.dtype)
+        r = np.linalg.norm(away, axis=-1)
+        cosine = (away @ self.lobe_axes.T.astype(q.dtype)).max(axis=-1) / np.maximum(r, 1e-3)
+        off_axis = r * np.arccos(np.clip(cosine, -1, 1))
+        score = 2.0 + 0.05 * r - off_axis + 2.5 * self.roughness(q)
+        rim = np.minimum(-_ellipsoid(q, 0.86 * self.half_axes_mm), q[..., 1] - 0.14 * self.half_axes_mm[1])
+        return np.minimum(score, rim - 3.0)
+
+    def roughness(self, q: np.ndarray) -> np.ndarray:
+        """Smooth random field of unit variance: points (..., 3) [mm] -> (...)."""
+        total = np.zeros(q.shape[:-1], q.dtype)
+        for wave, phase in zip(self.waves, self.phases):
+            total += np.cos(q @ wave.astype(q.dtype) + q.dtype.type(phase))
+        return total * np.sqrt(2 / len(self.phases))
+
+    def parts(self, p: np.ndarray) -> np.ndarray:
+        """Tissue at points: (n, 3) [mm] -> (n,) uint8 of `Part`."""
+        a = self.height(p)
+        out = np.full(len(p), Part.AIR, np.uint8)
+        inside = np.flatnonzero(self.outside(p, a) < 0)
+        q = np.stack([p[inside, 0], a[inside], p[inside, 2]], axis=-1)
+        depth = -self.outside(p[inside], a[inside])
+        out[inside] = np.where(self.is_breast(q), self._breast(q, depth), self._chest(q, depth))
+        return out
+
+    def is_breast(self, q: np.ndarray) -> np.ndarray:
+        """In front of the wall and within the foot of the breast: (n, 3) x, height, z -> (n,) bool."""
+        foot = (q[:, 0] / self.half_axes_mm[0]) ** 2 + (q[:, 2] / self.half_axes_mm[2]) ** 2
+        return (q[:, 1] > 0) & (foot < 1)
+
+    def _breast(self, q: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Fat, gland, skin or tumour at points of the breast."""
+        out = np.where(self.lobe_score(q) > self.gland_level, Part.GLAND, Part.FAT)
+        nipple = np.linalg.norm(q - [0, self.half_axes_mm[1], 0], axis=-1) < NIPPLE_MM + 1
+        out[nipple] = Part.GLAND
+        if self.tumour_radius_mm > 0:
+            r = np.linalg.norm(q - self.tumour_centre_mm, axis=-1)
+            out[r < self.tumour_radius_mm * (1 + 0.12 * self.roughness(1.5 * q))] = Part.TUMOUR
+        out[depth < SKIN_MM] = Part.SKIN
+        return out.astype(np.uint8)
+
+    def _chest(self, q: np.ndarray, depth: np.ndarray) -> np.ndarray:
+        """Skin and fat over the chest, muscle, ribs every 26 mm, lung."""
+        a = q[:, 1]
+        out = np.full(len(q), Part.LUNG, np.uint8)
+        out[a > -MUSCLE_MM - RIB_MM - 4] = Part.MUSCLE
+        centre = -MUSCLE_MM - RIB_MM / 2
+        rib = ((a - centre) / (RIB_MM / 2)) ** 2 + ((np.mod(q[:, 2], 26.0) - 13.0) / 6.0) ** 2 < 1
+        out[rib] = Part.RIB
+        out[a > 0] = Part.CHEST_FAT
+        out[(a > 0) & (depth < SKIN_MM)] = Part.CHEST_SKIN
+        return out
+
+
+def draw(
+    rng: np.random.Generator,
+    half_axes_mm: np.ndarray,
+    medial: float,
+    gland_fraction: float | None,
+    tumour_centre_mm: np.ndarray | None,
+    tumour_radius_mm: float,
+) -> Anatomy:
+    """Draw lobes, irregularity and what was left open (gland fraction 15-25 %, tumour place) from ``rng``."""
+    fraction = rng.uniform(0.15, 0.25)
+    fraction = fraction if gland_fraction is None else gland_fraction
+    waves = rng.normal(size=(12, 3))
+    waves *= 2 * np.pi / (rng.uniform(7, 24, size=(12, 1)) * np.linalg.norm(waves, axis=1, keepdims=True))
+    phases = rng.uniform(0, 2 * np.pi, 12)
+    side, depth, up = rng.uniform(0.15, 0.4), rng.uniform(0.4, 0.6), rng.uniform(0.05, 0.35)
+    place = np.array([-medial * side, depth, up]) * half_axes_mm  # upper outer quadrant, the commonest
+    centre = place if tumour_centre_mm is None else tumour_centre_mm
+    open_level = Anatomy(
+        half_axes_mm, medial, _lobe_axes(rng), waves, phases, 0.0, np.asarray(centre, float), tumour_radius_mm
+    )
+    level = _level_for(open_level, fraction, rng)
+    return Anatomy(
+        half_axes_mm, medial, open_level.lobe_axes, waves, phases, level, open_level.tumour_centre_mm, tumour_radius_mm
+    )
+
+
+def _lobe_axes(rng: np.random.Generator) -> np.ndarray:
+    """Jittered directions over a cone of 75 degrees around the way into the breast, (N_LOBES, 3)."""
+    k = np.arange(N_LOBES)
+    polar = np.deg2rad(75) * np.sqrt((k + 0.5) / N_LOBES) + rng.normal(0, 0.05, N_LOBES)
+    turn = k * np.pi * (3 - np.sqrt(5)) + rng.normal(0, 0.15, N_LOBES)
+    return np.stack([np.sin(polar) * np.cos(turn), -np.cos(polar), np.sin(polar) * np.sin(turn)], axis=-1)
+
+
+def _level_for(anatomy: Anatomy, fraction: float, rng: np.random.Generator) -> float:
+    """Lobe score above which ``fraction`` of the breast inside its skin lies."""
+    q = rng.uniform(-1, 1, size=(60000, 3)) * anatomy.half_axes_mm
+    q[:, 1] = np.abs(q[:, 1])
+    q = q[_ellipsoid(q, anatomy.half_axes_mm) < -SKIN_MM]
+    return float(np.quantile(anatomy.lobe_score(q), 1 - fraction))
+
+
+def _ellipsoid(q: np.ndarray, half_axes: np.ndarray) -> np.ndarray:
+    """First-order signed distance to an ellipsoid about the origin: (..., 3) -> (...)."""
+    k0 = np.linalg.norm(q / half_axes, axis=-1)
+    k1 = np.linalg.norm(q / half_axes**2, axis=-1)
+    return k0 * (k0 - 1) / np.maximum(k1, 1e-6)
+
+
+def _smooth_union(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
+    """Polynomial smooth minimum of two distances; rounds the corner over ``width``."""
+    h = np.maximum(width - np.abs(a - b), 0.0)
+    return np.minimum(a, b) - h * h / (4 * width)

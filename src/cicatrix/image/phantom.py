@@ -1,0 +1,168 @@
+"""The digital phantom "half-ellipsoid": a breast MRI whose labels are known, because no patient image may be shipped."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..core.errors import InputError
+from ..geometry.labels import Label
+from ..geometry.volume import Volume
+from .anatomy import MIDLINE_MM, MUSCLE_MM, RIB_MM, Anatomy, Part, draw
+
+SIZE_MM = (120.0, 75.0, 110.0)
+FLANK_MM = 36.0  # chest shown beside the breast, on both sides
+AIR_MM = 16.0  # air in front of the nipple
+ABOVE_MM = 18.0  # chest shown above and below
+SUBSAMPLE_MM = 0.8  # voxels are averaged over points no farther apart than this
+LABEL_OF = np.array([0, 1, 2, 3, 4, 5, 5, 5, 5, 5], np.uint8)  # Part -> Label
+
+# Brightness by Part, in units of the scanner; relative values as in prone T1 TSE and SPAIR images. The fat-saturated
+# tumour is as after contrast.
+BRIGHTNESS = {
+    "t1": np.array([0, 900, 300, 360, 250, 900, 360, 270, 520, 40], np.float32),
+    "t1-fatsat": np.array([0, 50, 150, 190, 320, 50, 190, 115, 70, 15], np.float32),
+}
+NOISE = {"t1": 20.0, "t1-fatsat": 5.0}  # standard deviation of each channel of the complex signal
+
+
+def phantom(
+    *,
+    spacing_mm: float | tuple[float, float, float] = 1.0,
+    seed: int = 0,
+    weighting: str = "t1",
+    side: str = "left",
+    size_mm: tuple[float, float, float] = SIZE_MM,
+    gland_fraction: float | None = None,
+    tumour_diameter_mm: float = 14.0,
+    tumour_centre_mm: tuple[float, float, float] | None = None,
+    bias: float = 0.25,
+    noise: float = 1.0,
+) -> tuple[Volume, Volume]:
+    """Image and known labels of one breast with the chest around it.
+
+    Skin of 1.45 mm, fat, irregular gland lobes radiating from the nipple, a tumour, pectoral muscle, ribs and lung
+    behind a curved wall. Voxels are averages over sub-voxel points (partial volume), times a smooth bias field, with
+    Rician noise. The same seed gives the same anatomy at every voxel size, and the same bytes at the same one.
+
+    Parameters
+    ----------
+    spacing_mm : float or (3,) tuple
+        Voxel edge along x, y, z [mm].
+    seed : int
+        Anatomy, bias field and noise.
+    weighting : str
+        "t1" (fat bright) or "t1-fatsat" (fat dark, tumour enhanced).
+    side : str
+        Patient's side, "left" (breast centre at x > 0) or "right".
+    size_mm : (3,) tuple
+        Width, depth (AP) and height of the breast [mm].
+    gland_fraction : float, optional
+        Part of the breast inside the skin that is gland; left out = drawn from 15-25 %.
+    tumour_diameter_mm, tumour_centre_mm : float, (3,) tuple, optional
+        Mean diameter (0 for none) and place in image coordinates [mm]; left out = upper outer quadrant.
+    bias : float
+        Amplitude of the logarithm of the bias field.
+    noise : float
+        Factor on the noise of the weighting.
+
+    Returns
+    -------
+    image : Volume
+        (nz, ny, nx) float32.
+    labels : Volume
+        (nz, ny, nx) uint8 of `Label`: the label that fills most of the voxel.
+
+    Raises
+    ------
+    InputError
+        A name, size or spacing that makes no image.
+    """
+    spacing = np.broadcast_to(np.asarray(spacing_mm, float), 3)
+    _check(spacing, size_mm, weighting, side)
+    streams = [np.random.Generator(np.random.Philox(s)) for s in np.random.SeedSequence(seed).spawn(3)]
+    medial = -1.0 if side == "left" else 1.0
+    shift = np.array([-medial * MIDLINE_MM, 0.0, 0.0])  # the patient's midline is at x = 0
+    half_axes = np.array([size_mm[0] / 2, size_mm[1], size_mm[2] / 2])
+    anatomy = draw(streams[0], half_axes, medial, gland_fraction, None, tumour_diameter_mm / 2)
+    if tumour_centre_mm is not None:
+        anatomy = _with_tumour_at(anatomy, np.asarray(tumour_centre_mm, float) - shift)
+    grid = _grid(half_axes, spacing, shift)
+    fractions = _fractions(anatomy, grid, shift)
+    clean = np.tensordot(BRIGHTNESS[weighting], fractions, axes=1)
+    image = _scan(clean, grid, bias, noise * NOISE[weighting], streams[1], streams[2])
+    return grid.with_values(image), grid.with_values(_majority(fractions))
+
+
+def _check(spacing: np.ndarray, size_mm: tuple[float, float, float], weighting: str, side: str) -> None:
+    """Refuse what makes no image."""
+    if weighting not in BRIGHTNESS:
+        raise InputError(f'phantom: weighting must be "t1" or "t1-fatsat", got "{weighting}".')
+    if side not in ("left", "right"):
+        raise InputError(f'phantom: side must be "left" or "right", got "{side}".')
+    if not (np.all(spacing > 0) and np.all(spacing <= 10)):
+        raise InputError(f"phantom: spacing_mm must lie in (0, 10], got {spacing.tolist()}.")
+    if min(size_mm) < 30 or max(size_mm) > 250:
+        raise InputError(f"phantom: size_mm must lie in [30, 250] along each axis, got {list(size_mm)}.")
+
+
+def _with_tumour_at(anatomy: Anatomy, point: np.ndarray) -> Anatomy:
+    """Move the tumour to a point given in the anatomy's frame (x, y, z) [mm]."""
+    height = float(anatomy.height(point[None])[0])
+    return Anatomy(**{**vars(anatomy), "tumour_centre_mm": np.array([point[0], height, point[2]])})
+
+
+def _grid(half_axes: np.ndarray, spacing: np.ndarray, shift: np.ndarray) -> Volume:
+    """Field of view around the breast, empty."""
+    low = np.array([-half_axes[0] - FLANK_MM, -half_axes[1] - AIR_MM, -half_axes[2] - ABOVE_MM]) + shift
+    behind = MUSCLE_MM + RIB_MM + 24.0
+    high = np.array([half_axes[0] + FLANK_MM, behind, half_axes[2] + ABOVE_MM]) + shift
+    nx, ny, nz = np.round((high - low) / spacing).astype(int)
+    sx, sy, sz = spacing.tolist()
+    ox, oy, oz = (low + spacing / 2).tolist()
+    return Volume(np.zeros((nz, ny, nx), np.float32), (sx, sy, sz), (ox, oy, oz))
+
+
+def _fractions(anatomy: Anatomy, grid: Volume, shift: np.ndarray) -> np.ndarray:
+    """Part of each voxel that each tissue fills: (n_parts, nz, ny, nx) float32."""
+    spacing = np.asarray(grid.spacing_mm)
+    counts = np.maximum(np.ceil(spacing / SUBSAMPLE_MM).astype(int), 2)
+    offsets = (np.stack(list(np.ndindex(*counts))) + 0.5) / counts - 0.5
+    fractions = np.zeros((len(Part), *grid.shape), np.float32)
+    nz, ny, nx = grid.shape
+    plane = np.stack(np.meshgrid([0], np.arange(ny), np.arange(nx), indexing="ij"), axis=-1).reshape(-1, 3)
+    for k in range(nz):
+        centres = (grid.position(plane + [k, 0, 0]) - shift).astype(np.float32)
+        for offset in offsets:
+            part = anatomy.parts(centres + (offset * spacing).astype(np.float32)).reshape(ny, nx)
+            for index in np.unique(part):
+                fractions[index, k] += part == index
+    return fractions / len(offsets)
+
+
+def _majority(fractions: np.ndarray) -> np.ndarray:
+    """Label that fills most of each voxel: (n_parts, nz, ny, nx) -> (nz, ny, nx) uint8."""
+    by_label = np.stack([fractions[LABEL_OF == label].sum(axis=0) for label in Label])
+    return by_label.argmax(axis=0).astype(np.uint8)
+
+
+def _scan(
+    clean: np.ndarray, grid: Volume, bias: float, sigma: float, field_rng: np.random.Generator, rng: np.random.Generator
+) -> np.ndarray:
+    """Bias field and Rician noise on the clean image (nz, ny, nx)."""
+    z, y, x = (np.linspace(-1, 1, n, dtype=np.float32) for n in grid.shape)
+    basis = [
+        x,
+        y[:, None],
+        z[:, None, None],
+        x * y[:, None],
+        x**2 - 1 / 3,
+        y[:, None] ** 2 - 1 / 3,
+        z[:, None, None] * x,
+    ]
+    weights = field_rng.uniform(-1, 1, len(basis)).astype(np.float32)
+    field = sum((w * b for w, b in zip(weights, basis)), np.zeros(grid.shape, np.float32))
+    field *= bias / max(float(np.abs(field).max()), 1e-6)
+    signal = clean.astype(np.float32) * np.exp(field)
+    real = signal + sigma * rng.standard_normal(grid.shape, dtype=np.float32)
+    imaginary = sigma * rng.standard_normal(grid.shape, dtype=np.float32)
+    return np.hypot(real, imaginary)

@@ -1,0 +1,276 @@
+"""From an MRI to the labels and tissue probabilities of one breast."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage as ndi
+from scipy.interpolate import RBFInterpolator
+
+from ..core.errors import InputError
+from ..geometry.labels import TISSUES, Label
+from ..geometry.volume import Volume
+from . import wall
+from .bias import remove_bias
+from .classify import bright_mass, gland_probability, skin_probability
+
+COARSE_MM = 2.0  # grid on which the chest wall is sought
+LEAST_BODY_ML = 50.0
+LEAST_CONTRAST = 3.0  # body over air
+
+Report = Callable[[str, float], None]
+ChestWall = Mapping[str, object] | np.ndarray | list
+
+
+@dataclass(frozen=True)
+class Segmentation:
+    """What an image shows, voxel by voxel.
+
+    Parameters
+    ----------
+    labels : Volume
+        (nz, ny, nx) uint8 of `Label`.
+    probabilities : Volume
+        (4, nz, ny, nx) float32 in the order of `TISSUES`; sums to 1 inside the breast, 0 elsewhere.
+    notes : tuple of str
+        What was done, for the record of the run.
+    """
+
+    labels: Volume
+    probabilities: Volume
+    notes: tuple[str, ...]
+
+
+def segment(
+    image: Volume,
+    *,
+    weighting: str,
+    side: str,
+    position: str = "prone",
+    chest_wall: ChestWall | None = None,
+    resection_centre_mm: tuple[float, float, float] | None = None,
+    report: Report | None = None,
+) -> Segmentation:
+    """Segment the breast of one side: skin, chest wall, then tissue classes (PHYSICS 1.1, 1.2).
+
+    Parameters
+    ----------
+    image : Volume
+        (nz, ny, nx) T1-weighted intensities, patient anterior towards -y.
+    weighting : str
+        "t1" (fat bright) or "t1-fatsat" (fat dark).
+    side : str
+        Patient's side, "left" (+x) or "right".
+    position : str
+        "prone", "supine" or "upright"; recorded, the method is the same.
+    chest_wall : mapping or (n, 3) array, optional
+        Instead of the automatic wall: a plane ``{"point_mm": (3,), "normal": (3,)}`` or n >= 4 points [mm] that a
+        thin-plate spline joins.
+    resection_centre_mm : (3,) tuple, optional
+        Fat-saturated images: a bright compact mass at this point becomes tumour. Otherwise tumour tissue is not told
+        from gland.
+    report : callable, optional
+        Called with the name of a stage and the fraction done.
+
+    Raises
+    ------
+    InputError
+        Unknown words, no body or no breast in the image, an unusable chest wall.
+    """
+    report = report or (lambda stage, fraction: None)
+    _check_words(weighting, side, position)
+    report("body", 0.0)
+    body = _body(image)
+    report("bias field", 0.1)
+    flat = remove_bias(image, body)
+    report("chest wall", 0.5)
+    behind, columns, note = _chest(flat, body, weighting == "t1", side, chest_wall)
+    breast = body & ~behind & columns[:, None, :]
+    breast = _largest(breast)
+    body |= np.maximum.accumulate(body, axis=1) & behind  # lungs are dark, not air
+    report("tissue", 0.65)
+    box = _box(breast)
+    probabilities, mass = _tissue(flat, body, breast, box, weighting, resection_centre_mm)
+    labels = _labels(probabilities, body, breast)
+    notes = (f"{weighting}, {side} breast, {position}; N4 bias field, skin by threshold", note, mass)
+    report("done", 1.0)
+    return Segmentation(image.with_values(labels), image.with_values(probabilities), tuple(n for n in notes if n))
+
+
+def from_labels(labels: Volume) -> Segmentation:
+    """Take an imported label map as it is; probabilities are the labels, smoothed by half a voxel inside the breast."""
+    values = labels.values.astype(np.uint8)
+    breast = (values > Label.AIR) & (values < Label.CHEST)
+    if not breast.any():
+        raise InputError("labels: the label map has no voxel of the breast; at least one of 1, 2, 3, 4 is needed.")
+    soft = np.stack([ndi.gaussian_filter((values == t).astype(np.float32), 0.5) * breast for t in TISSUES])
+    soft /= np.maximum(soft.sum(axis=0), 1e-6)
+    notes = ["labels imported"]
+    if not (values == Label.CHEST).any():
+        faces = [breast.take(end, axis=axis).any() for axis in range(3) for end in (0, -1)]
+        touched = [f for f, hit in zip(("z low", "z high", "y low", "y high", "x low", "x high"), faces) if hit]
+        notes.append(f"no chest label; the breast touches the image at {', '.join(touched) or 'no face'}")
+    return Segmentation(labels.with_values(values), labels.with_values(soft), tuple(notes))
+
+
+def _check_words(weighting: str, side: str, position: str) -> None:
+    """Refuse unknown words, naming the known ones."""
+    for name, value, known in (
+        ("weighting", weighting, ("t1", "t1-fatsat")),
+        ("side", side, ("left", "right")),
+        ("position", position, ("prone", "supine", "upright")),
+    ):
+        if value not in known:
+            raise InputError(f'{name} must be one of {", ".join(known)}; got "{value}".')
+
+
+def _body(image: Volume) -> np.ndarray:
+    """Body by Otsu's threshold on the logarithm, largest piece, holes of each axial slice filled: (nz, ny, nx) bool."""
+    sigma = [min(0.6, 0.7 / s) for s in image.spacing_mm[::-1]]
+    smooth = ndi.gaussian_filter(image.values.astype(np.float32), sigma)
+    top = float(np.percentile(smooth, 99))
+    if not top > 0 or np.ptp(smooth) < 1e-3 * top:
+        raise InputError("image: no breast found, the image is empty or constant; give a T1-weighted breast MRI.")
+    log = np.log(np.clip(smooth, 2e-3 * top, top))
+    rough = _largest(ndi.binary_opening(smooth > np.exp(_otsu(log))))
+    if not rough.any():
+        raise InputError("image: no breast found, nothing stands out from the background; give a T1-weighted breast MRI.")
+    rough = np.stack([ndi.binary_fill_holes(s) for s in rough])
+    inside, outside = np.median(smooth[rough]), np.median(smooth[~rough]) if not rough.all() else np.inf
+    if rough.sum() * np.prod(image.spacing_mm) < 1000 * LEAST_BODY_ML or inside < LEAST_CONTRAST * outside:
+        raise InputError(
+            "image: no breast found, nothing stands out from the background; give a T1-weighted breast MRI."
+        )
+    return rough
+
+
+def _otsu(v: np.ndarray) -> float:
+    """Threshold with the largest variance between the classes."""
+    counts, edges = np.histogram(v, 256)
+    centres = 0.5 * (edges[1:] + edges[:-1])
+    below = np.cumsum(counts)[:-1]
+    above = below[-1] + counts[-1] - below
+    moment = np.cumsum(counts * centres)
+    gap = moment[:-1] / np.maximum(below, 1) - (moment[-1] - moment[:-1]) / np.maximum(above, 1)
+    return float(edges[1:-1][np.argmax(below * above * gap**2)])
+
+
+def _largest(mask: np.ndarray) -> np.ndarray:
+    """Largest connected piece."""
+    pieces, n = ndi.label(mask)
+    return mask if n < 2 else pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
+
+
+def _chest(
+    flat: Volume, body: np.ndarray, fat_bright: bool, side: str, given: ChestWall | None
+) -> tuple[np.ndarray, np.ndarray, str]:
+    """What lies behind the wall (nz, ny, nx), which columns are breast (nz, nx), and a note."""
+    coarse, solid = _coarse(flat, body)
+    x_mm, skin = _axis(coarse, 2), coarse.origin_mm[1] + wall.front(solid) * coarse.spacing_mm[1]
+    sign = 1.0 if side == "left" else -1.0
+    midline = wall.find_midline(skin, x_mm, sign)
+    if given is None:
+        surface = wall.wall_surface(coarse, wall.prior(skin, x_mm, midline), fat_bright)
+        note = f"chest wall automatic, midline at x = {midline:.0f} mm"
+    else:
+        surface, note = _given_wall(given, coarse)
+    last = _axis(flat, 1)[-1]
+    surface = np.minimum(surface, last - 1.0)  # where the image ends first, its last voxels hold the breast
+    columns = wall.foot(surface - skin, sign * (x_mm - midline) > 0, (coarse.spacing_mm[2], coarse.spacing_mm[0]))
+    fine_surface = _refine(surface, coarse, flat)
+    fine_columns = _refine(ndi.gaussian_filter(columns.astype(float), 1.0), coarse, flat) > 0.5
+    return _axis(flat, 1)[None, :, None] > fine_surface[:, None, :], fine_columns, note
+
+
+def _given_wall(given: ChestWall, grid: Volume) -> tuple[np.ndarray, str]:
+    """Wall y (nz, nx) [mm] from a plane or from points."""
+    x, z = _axis(grid, 2)[None, :], _axis(grid, 0)[:, None]
+    if isinstance(given, Mapping):
+        point, normal = (np.asarray(given[k], float) for k in ("point_mm", "normal"))
+        if point.shape != (3,) or normal.shape != (3,) or abs(normal[1]) < 0.2 * np.linalg.norm(normal):
+            raise InputError("chest_wall: the plane's normal must point to the front or back (|y| at least 0.2 of it).")
+        return point[1] - ((x - point[0]) * normal[0] + (z - point[2]) * normal[2]) / normal[
+            1
+        ], "chest wall: given plane"
+    points = np.asarray(given, float)
+    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
+        raise InputError("chest_wall: give at least 4 points of x, y, z in mm, not all on one line.")
+    try:
+        spline = RBFInterpolator(points[:, [2, 0]], points[:, 1])
+    except (np.linalg.LinAlgError, ValueError):
+        raise InputError("chest_wall: the points lie on one line seen from the front; spread them out.") from None
+    where = np.stack(np.broadcast_arrays(z, x), axis=-1).reshape(-1, 2)
+    return spline(where).reshape(z.size, x.size), f"chest wall: spline through {len(points)} given points"
+
+
+def _coarse(flat: Volume, body: np.ndarray) -> tuple[Volume, np.ndarray]:
+    """Image and body on a grid of about 2 mm."""
+    size = np.asarray(flat.spacing_mm[::-1])
+    factor = np.maximum(COARSE_MM / size, 1e-9)
+    shape = np.maximum(np.round(np.asarray(flat.shape) / factor).astype(int), 2)
+    true = (np.asarray(flat.shape) - 1) / (shape - 1)
+    sigma = np.where(true > 1, 0.4 * true, 0)
+    index = np.meshgrid(*[np.arange(n) * t for n, t in zip(shape, true)], indexing="ij")
+    values = ndi.map_coordinates(ndi.gaussian_filter(flat.values, sigma), index, order=1)
+    solid = ndi.map_coordinates(ndi.gaussian_filter(body.astype(np.float32), sigma), index, order=1) > 0.5
+    sz, sy, sx = (true * size).tolist()
+    return Volume(values, (sx, sy, sz), flat.origin_mm), solid
+
+
+def _refine(field: np.ndarray, coarse: Volume, fine: Volume) -> np.ndarray:
+    """Height map (nz, nx) from the coarse to the fine grid."""
+    z = (_axis(fine, 0) - coarse.origin_mm[2]) / coarse.spacing_mm[2]
+    x = (_axis(fine, 2) - coarse.origin_mm[0]) / coarse.spacing_mm[0]
+    return ndi.map_coordinates(field, np.meshgrid(z, x, indexing="ij"), order=1, mode="nearest")
+
+
+def _axis(volume: Volume, axis: int) -> np.ndarray:
+    """Voxel centres along an array axis (0 z, 1 y, 2 x) [mm]."""
+    return volume.origin_mm[2 - axis] + np.arange(volume.shape[axis]) * volume.spacing_mm[2 - axis]
+
+
+def _box(mask: np.ndarray) -> tuple[slice, slice, slice]:
+    """Bounding box of a mask, three voxels wider."""
+    out = []
+    for axis in range(3):
+        hit = np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis)))
+        out.append(slice(max(int(hit[0]) - 3, 0), int(hit[-1]) + 4))
+    return out[0], out[1], out[2]
+
+
+def _tissue(
+    flat: Volume,
+    body: np.ndarray,
+    breast: np.ndarray,
+    box: tuple[slice, slice, slice],
+    weighting: str,
+    centre_mm: tuple[float, float, float] | None,
+) -> tuple[np.ndarray, str]:
+    """Probabilities (4, nz, ny, nx) in the order of `TISSUES`, and a note on the tumour."""
+    origin = flat.position(np.array([s.start for s in box]))
+    part = Volume(flat.values[box], flat.spacing_mm, (float(origin[0]), float(origin[1]), float(origin[2])))
+    skin = skin_probability(body[box], flat.spacing_mm) * breast[box]
+    inner = breast[box] & (skin < 0.5)
+    if inner.sum() < 1000:
+        raise InputError("image: no breast found that is thick enough to tell its tissues; use smaller voxels.")
+    gland = gland_probability(part, inner, weighting == "t1")
+    gland[ndi.binary_dilation(skin > 0.05)] = 0  # the voxels that share the skin are no gland
+    tumour, note = np.zeros_like(inner), "no tumour class: give a label map to have one"
+    if weighting == "t1-fatsat" and centre_mm is not None:
+        tumour = bright_mass(part, inner, centre_mm)
+        ml = tumour.sum() * np.prod(flat.spacing_mm) / 1000
+        note = f"tumour: bright mass of {ml:.1f} ml at the resection centre" if ml else "no bright mass at the centre"
+    soft = np.clip(ndi.gaussian_filter(tumour.astype(np.float32), 0.5), 0, 1) * (1 - skin)
+    rest = (1 - skin - soft).clip(0)
+    out = np.zeros((4, *flat.shape), np.float32)
+    stack = np.stack([rest * (1 - gland), rest * gland, skin, soft]) * breast[box]
+    out[(slice(None), *box)] = stack / np.maximum(stack.sum(axis=0), 1e-6)
+    return out, note
+
+
+def _labels(probabilities: np.ndarray, body: np.ndarray, breast: np.ndarray) -> np.ndarray:
+    """Most probable tissue in the breast, chest in the rest of the body: (nz, ny, nx) uint8."""
+    tissue = np.asarray(TISSUES, np.uint8)[probabilities.argmax(axis=0)]
+    return np.where(breast, tissue, np.where(body, Label.CHEST, Label.AIR)).astype(np.uint8)

@@ -1,0 +1,206 @@
+"""Images in and out: NIfTI, NRRD, MHA files and DICOM folders become axis-aligned LPS volumes; only voxels and geometry pass."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import SimpleITK as sitk
+
+from ..core.errors import InputError
+from ..geometry.labels import Label
+from ..geometry.volume import Volume
+from .dicom import series_files
+
+IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
+KNOWN = "NIfTI (.nii, .nii.gz), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a folder with one DICOM series"
+TILT_TOLERANCE = 1e-4  # direction cosines this close to the axes count as aligned: 0.05 mm over half a metre
+
+
+def read_image(path: str | Path) -> Volume:
+    """Read a scalar 3-D image in any orientation onto an axis-aligned LPS grid.
+
+    Permuted and flipped axes are only re-ordered; a truly oblique image is resampled linearly at its own spacing.
+
+    Parameters
+    ----------
+    path : str or Path
+        A NIfTI, NRRD or MetaImage file, or a folder that holds one DICOM series.
+
+    Returns
+    -------
+    Volume
+        values (nz, ny, nx) float32, in the file's own unit after its rescale slope and intercept.
+
+    Raises
+    ------
+    InputError
+        Missing, truncated or foreign file, no or several DICOM series, not 3-D, a single slice, NaN or infinite voxels.
+    """
+    image = _checked(_read(Path(path)), Path(path).name)
+    image = _axis_aligned(sitk.Cast(image, sitk.sitkFloat32), sitk.sitkLinear)
+    return _volume(image)
+
+
+def read_labels(path: str | Path) -> Volume:
+    """Read a label map (0 air, 1 fat, 2 gland, 3 skin, 4 tumour, 5 chest) onto an axis-aligned LPS grid.
+
+    Returns
+    -------
+    Volume
+        values (nz, ny, nx) uint8; oblique maps are resampled by the nearest voxel.
+
+    Raises
+    ------
+    InputError
+        As `read_image`, or labels other than whole numbers 0 to 5, or no voxel of the breast (1 to 4).
+    """
+    name = Path(path).name
+    image = _checked(_read(Path(path)), name)
+    values = sitk.GetArrayViewFromImage(image)
+    strange = sorted({float(v) for v in np.unique(values)} - {float(label) for label in Label})
+    if strange:
+        shown = ", ".join(f"{v:g}" for v in strange[:3])
+        raise InputError(
+            f"{name}: a label map holds only 0 air, 1 fat, 2 gland, 3 skin, 4 tumour and 5 chest; it also has {shown}."
+        )
+    if not ((values > Label.AIR) & (values < Label.CHEST)).any():
+        raise InputError(
+            f"{name}: the label map has no voxel of the breast; at least one of 1 fat, 2 gland, 3 skin, 4 tumour is needed."
+        )
+    return _volume(_axis_aligned(sitk.Cast(image, sitk.sitkUInt8), sitk.sitkNearestNeighbor))
+
+
+def write_volume(path: str | Path, volume: Volume) -> None:
+    """Write a volume as NIfTI; channels (n_channels, nz, ny, nx) become the fourth axis. No text is written to the header."""
+    values = np.ascontiguousarray(volume.values)
+    image = sitk.GetImageFromArray(values, isVector=False)
+    pad = values.ndim - 3
+    image.SetSpacing((*map(float, volume.spacing_mm), *(1.0,) * pad))
+    image.SetOrigin((*map(float, volume.origin_mm), *(0.0,) * pad))
+    with _quiet():
+        sitk.WriteImage(image, str(path), useCompression=True)
+
+
+def _read(path: Path) -> sitk.Image:
+    """Read with ITK, saying nothing but our own sentences."""
+    if not path.exists():
+        raise InputError(f"{path.name}: there is no such image; give {KNOWN}.")
+    if path.is_dir():
+        return _read_series(path)
+    reader = sitk.ImageFileReader()
+    reader.SetFileName(str(path))
+    with _quiet():
+        try:
+            reader.ReadImageInformation()
+        except RuntimeError as error:
+            raise InputError(_unreadable(path.name, str(error))) from None
+        _check_form(reader.GetDimension(), reader.GetSize(), reader.GetNumberOfComponents(), path.name)
+        try:
+            return reader.Execute()
+        except RuntimeError:
+            raise InputError(f"{path.name}: the file is cut short or damaged; copy it again from its source.") from None
+
+
+def _unreadable(name: str, reason: str) -> str:
+    """The sentence for a header ITK cannot use."""
+    if "orthonormal" in reason:
+        return f"{name}: the header's axes are sheared (not orthonormal); resample the image onto a rectangular grid."
+    return f"{name}: this is not an image that can be read; give {KNOWN}, complete and under its right name."
+
+
+def _check_form(dimension: int, size: tuple[int, ...], n_components: int, name: str) -> None:
+    """Refuse what is not a scalar volume, before its voxels are read."""
+    while dimension > 3 and size[dimension - 1] == 1:
+        dimension -= 1
+    if dimension > 3:
+        raise InputError(
+            f"{name}: the image has {dimension} dimensions; give one 3-D volume, for example a single time point."
+        )
+    if n_components != 1:
+        raise InputError(f"{name}: each voxel has {n_components} values; give an image with one intensity per voxel.")
+    if dimension < 3 or min(size[:3]) < 2:
+        shown = " x ".join(str(n) for n in size[:dimension])
+        raise InputError(
+            f"{name}: the image is a single slice ({shown} voxels); a volume of two or more slices is needed."
+        )
+
+
+def _read_series(folder: Path) -> sitk.Image:
+    """Read the one DICOM series of a folder."""
+    files = series_files(folder)
+    reader = sitk.ImageSeriesReader()
+    reader.SetFileNames([str(f) for f in files])
+    with _quiet():
+        try:
+            image = reader.Execute()
+        except RuntimeError:
+            raise InputError(
+                f"{folder.name}: a slice of the DICOM series is cut short, damaged or of another size; export the series again."
+            ) from None
+    _check_form(image.GetDimension(), image.GetSize(), image.GetNumberOfComponentsPerPixel(), folder.name)
+    return image
+
+
+def _checked(image: sitk.Image, name: str) -> sitk.Image:
+    """Drop empty trailing axes, refuse voxels that are no numbers."""
+    while image.GetDimension() > 3:
+        image = image[..., 0]
+    values = sitk.GetArrayViewFromImage(image)
+    bad = values.size - np.count_nonzero(np.isfinite(values)) if values.dtype.kind == "f" else 0
+    if bad:
+        raise InputError(
+            f"{name}: {bad} of {values.size} voxels are NaN or infinite; give an image whose voxels are all numbers."
+        )
+    return image
+
+
+def _axis_aligned(image: sitk.Image, interpolator: int) -> sitk.Image:
+    """Re-order the axes to LPS, then resample if the image is still tilted."""
+    image = sitk.DICOMOrient(image, "LPS")
+    if np.abs(np.subtract(image.GetDirection(), IDENTITY)).max() < TILT_TOLERANCE:
+        image.SetDirection(IDENTITY)
+        return image
+    last = np.asarray(image.GetSize()) - 1
+    corners = np.array(
+        [image.TransformContinuousIndexToPhysicalPoint((last * c).tolist()) for c in np.ndindex(2, 2, 2)]
+    )
+    spacing = np.asarray(image.GetSpacing())
+    size = np.ceil(np.ptp(corners, axis=0) / spacing - 1e-6).astype(int) + 1
+    low = float(sitk.GetArrayViewFromImage(image).min())
+    return sitk.Resample(
+        image, size.tolist(), sitk.Transform(3, sitk.sitkIdentity), interpolator, corners.min(axis=0).tolist(),
+        image.GetSpacing(), IDENTITY, low,
+    )  # fmt: skip
+
+
+def _volume(image: sitk.Image) -> Volume:
+    """Voxels and geometry, nothing else."""
+    sx, sy, sz = image.GetSpacing()
+    ox, oy, oz = image.GetOrigin()
+    return Volume(sitk.GetArrayFromImage(image), (sx, sy, sz), (ox, oy, oz))
+
+
+@contextlib.contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what the C++ libraries print to file descriptors 1 and 2 away from the user; Python's own streams are untouched."""
+    shown = sitk.ProcessObject.GetGlobalWarningDisplay()
+    sitk.ProcessObject.SetGlobalWarningDisplay(False)
+    sys.stdout.flush()
+    sys.stderr.flush()
+    kept = [os.dup(1), os.dup(2)]
+    with tempfile.TemporaryFile() as sink:
+        try:
+            os.dup2(sink.fileno(), 1)
+            os.dup2(sink.fileno(), 2)
+            yield
+        finally:
+            for descriptor, copy in enumerate(kept, start=1):
+                os.dup2(copy, descriptor)
+                os.close(copy)
+            sitk.ProcessObject.SetGlobalWarningDisplay(shown)
