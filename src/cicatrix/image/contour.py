@@ -164,13 +164,27 @@ def delta(x: np.ndarray | float, width: float) -> np.ndarray:
 
 
 def _moved(phi: np.ndarray, at: tuple[np.ndarray, ...], change: np.ndarray) -> np.ndarray:
-    """Add the change at the band, then restore the distance: beyond the band from the mask, within it by Sussman steps."""
+    """Add the change at the band, then restore the distance without moving the zero level.
+
+    Sites beside the zero level take phi / |grad phi|; the rest of the near band follows by Sussman steps; what lies
+    farther takes the distance of the mask.
+    """
     phi = phi.copy()
     phi[at] += change
     fresh = signed_distance(phi < 0)
-    near = np.abs(fresh) <= 2.5
+    near = np.abs(fresh) <= 3
+    beside = np.abs(fresh) <= 0.5
+    sites = np.argwhere(beside)
     start = np.where(near, np.clip(phi, fresh - 1, fresh + 1), fresh)
-    return _sussman(start, np.argwhere(near))
+    start[tuple(sites.T)] = phi[tuple(sites.T)] / np.clip(_slope(phi, sites), 0.3, 3.0)
+    return _sussman(start, np.argwhere(near & ~beside))
+
+
+def _slope(phi: np.ndarray, sites: np.ndarray) -> np.ndarray:
+    """|grad phi| by central differences at the sites: (n, d) -> (n,)."""
+    top, eye = np.asarray(phi.shape) - 1, np.eye(phi.ndim, dtype=int)
+    rise = [(phi[tuple(np.clip(sites + e, 0, top).T)] - phi[tuple(np.clip(sites - e, 0, top).T)]) / 2 for e in eye]
+    return np.sqrt(sum(g * g for g in rise))
 
 
 def _sussman(phi: np.ndarray, sites: np.ndarray, n: int = 3) -> np.ndarray:

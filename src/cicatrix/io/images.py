@@ -16,6 +16,7 @@ from ..core.errors import InputError
 from ..geometry.labels import Label
 from ..geometry.volume import Volume
 from .dicom import series_files
+from .nifti import check_nifti
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 KNOWN = "NIfTI (.nii, .nii.gz), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a folder with one DICOM series"
@@ -101,6 +102,8 @@ def _read(path: Path) -> sitk.Image:
         except RuntimeError as error:
             raise InputError(_unreadable(path.name, str(error))) from None
         _check_form(reader.GetDimension(), reader.GetSize(), reader.GetNumberOfComponents(), path.name)
+        if path.name.endswith((".nii", ".nii.gz")):
+            check_nifti(path)
         try:
             return reader.Execute()
         except RuntimeError:
