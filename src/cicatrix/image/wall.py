@@ -99,7 +99,9 @@ def _contrast(image: Volume, fat_bright: bool) -> np.ndarray:
         return (behind - ahead) / (ahead + behind + floor)
     size = [int(round(20.0 / sz)), int(round(60.0 / sy)), int(round(20.0 / sx))]
     fat = ndi.maximum_filter(mean, [min(s, n) for s, n in zip(size, mean.shape)])
-    return 1.5 * (ahead - behind) / (fat + floor)  # against fat, else muscle to lung would count more than fat to muscle
+    return (
+        1.5 * (ahead - behind) / (fat + floor)
+    )  # against fat, else muscle to lung would count more than fat to muscle
 
 
 def _aggregate(cost: np.ndarray) -> np.ndarray:
