@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pydicom
 import pytest
-import SimpleITK as sitk
+import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
 
 from cicatrix.core.errors import InputError
 from cicatrix.geometry.volume import Volume

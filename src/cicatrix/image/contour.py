@@ -12,7 +12,10 @@ FORCES = ("uniform", "separation")
 
 @dataclass(frozen=True)
 class Contour:
-    """Where the evolution ended: signed distance phi (negative inside) [voxel], and per iteration the mean |step| of phi."""
+    """Where the evolution ended.
+
+    ``phi`` is the signed distance, negative inside [voxel]; ``history`` the mean ``|step|`` of phi per iteration.
+    """
 
     phi: np.ndarray
     history: tuple[float, ...]
@@ -142,7 +145,7 @@ def ball(radius: float, dimension: int) -> np.ndarray:
 
 
 def band_sites(phi: np.ndarray, band: float) -> np.ndarray:
-    """Indices of the sites with |phi| <= band, (n, d)."""
+    """Find the indices of the sites with |phi| <= band, (n, d)."""
     return np.argwhere(np.abs(phi) <= band)
 
 
@@ -158,7 +161,7 @@ def heaviside(x: np.ndarray, width: float) -> np.ndarray:
 
 
 def delta(x: np.ndarray | float, width: float) -> np.ndarray:
-    """Derivative of `heaviside`."""
+    """Evaluate the derivative of `heaviside`."""
     t = np.clip(np.asarray(x) / width, -1, 1)
     return 0.5 * (1 + np.cos(np.pi * t)) / width
 
@@ -188,7 +191,7 @@ def _slope(phi: np.ndarray, sites: np.ndarray) -> np.ndarray:
 
 
 def _sussman(phi: np.ndarray, sites: np.ndarray, n: int = 3) -> np.ndarray:
-    """A few steps of phi_t = sign(phi0)(1 - |grad phi|), Godunov upwind, at the sites only."""
+    """Take a few steps of phi_t = sign(phi0)(1 - |grad phi|), Godunov upwind, at the sites only."""
     top, at, eye = np.asarray(phi.shape) - 1, tuple(sites.T), np.eye(phi.ndim, dtype=int)
     sign = phi[at] / np.sqrt(phi[at] ** 2 + 1)
     for _ in range(n):

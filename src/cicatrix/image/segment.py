@@ -168,7 +168,7 @@ def _largest(mask: np.ndarray) -> np.ndarray:
 def _chest(
     flat: Volume, body: np.ndarray, fat_bright: bool, side: str, given: ChestWall | None
 ) -> tuple[np.ndarray, np.ndarray, str]:
-    """What lies behind the wall (nz, ny, nx), which columns are breast (nz, nx), and a note."""
+    """Find what lies behind the wall (nz, ny, nx), which columns are breast (nz, nx), and a note."""
     coarse, solid = _coarse(flat, body)
     x_mm, skin = _axis(coarse, 2), coarse.origin_mm[1] + wall.front(solid) * coarse.spacing_mm[1]
     sign = 1.0 if side == "left" else -1.0

@@ -1,4 +1,4 @@
-"""Faults that the NIfTI library passes over in silence: files cut short, voxels that are no numbers (it turns them into 0)."""
+"""Faults that the NIfTI library passes over in silence: files cut short, NaN voxels (it turns them into 0)."""
 
 from __future__ import annotations
 
