@@ -35,7 +35,7 @@ class Part(IntEnum):
 
 @dataclass(frozen=True)
 class Anatomy:
-    """A half-ellipsoid breast on a gently curved chest wall, nipple towards -y, breast centre on the wall at the origin.
+    """A half-ellipsoid breast on a curved chest wall, nipple towards -y, breast centre on the wall at the origin.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Anatomy:
         return _smooth_union(_smooth_union(breast, nipple, 2.0), torso, FILLET_MM)
 
     def lobe_score(self, q: np.ndarray) -> np.ndarray:
-        """How deep inside a lobe: points (..., 3) as x, height, z [mm] -> (...) [mm]; far below zero in the fat layers."""
+        """How deep inside a lobe: points (..., 3) as x, height, z [mm] -> (...) [mm]; negative in fat layers."""
         away = q - np.array([0, self.half_axes_mm[1] - 2.0, 0], q.dtype)
         r = np.linalg.norm(away, axis=-1)
         cosine = (away @ self.lobe_axes.T.astype(q.dtype)).max(axis=-1) / np.maximum(r, 1e-3)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-import SimpleITK as sitk
+import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
 
 from ..geometry.volume import Volume
 
@@ -29,7 +29,7 @@ def remove_bias(image: Volume, mask: np.ndarray) -> Volume:
         (nz, ny, nx) float32.
     """
     full = _to_itk(image.values.astype(np.float32), image)
-    factors = [max(int(round(COARSE_MM / s)), 1) for s in image.spacing_mm]
+    factors = [max(round(COARSE_MM / s), 1) for s in image.spacing_mm]
     factors = [min(f, max(n // 4, 1)) for f, n in zip(factors, image.shape[::-1])]
     small = sitk.BinShrink(full, factors)
     inside = sitk.BinShrink(_to_itk(mask.astype(np.float32), image), factors) > 0.5

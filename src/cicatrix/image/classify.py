@@ -80,7 +80,7 @@ def skin_probability(body: np.ndarray, spacing_mm: tuple[float, float, float]) -
 
 
 def bright_mass(image: Volume, inside: np.ndarray, centre_mm: tuple[float, float, float]) -> np.ndarray:
-    """A bright compact mass near a point: (nz, ny, nx) bool, empty if there is none.
+    """Mark a bright compact mass near a point: (nz, ny, nx) bool, empty if there is none.
 
     Fat-saturated images only. Voxels brighter than halfway between the gland-like upper quartile and the brightest
     within 8 mm of the point, connected to it, within 20 mm; refused if not compact (less than a third of the ball with

@@ -12,7 +12,10 @@ FORCES = ("uniform", "separation")
 
 @dataclass(frozen=True)
 class Contour:
-    """Where the evolution ended: signed distance phi (negative inside) [voxel], and per iteration the mean |step| of phi."""
+    """Where the evolution ended.
+
+    ``phi`` is the signed distance, negative inside [voxel]; ``history`` the mean ``|step|`` of phi per iteration.
+    """
 
     phi: np.ndarray
     history: tuple[float, ...]
@@ -142,7 +145,7 @@ def ball(radius: float, dimension: int) -> np.ndarray:
 
 
 def band_sites(phi: np.ndarray, band: float) -> np.ndarray:
-    """Indices of the sites with |phi| <= band, (n, d)."""
+    """Find the indices of the sites with |phi| <= band, (n, d)."""
     return np.argwhere(np.abs(phi) <= band)
 
 
@@ -158,23 +161,37 @@ def heaviside(x: np.ndarray, width: float) -> np.ndarray:
 
 
 def delta(x: np.ndarray | float, width: float) -> np.ndarray:
-    """Derivative of `heaviside`."""
+    """Evaluate the derivative of `heaviside`."""
     t = np.clip(np.asarray(x) / width, -1, 1)
     return 0.5 * (1 + np.cos(np.pi * t)) / width
 
 
 def _moved(phi: np.ndarray, at: tuple[np.ndarray, ...], change: np.ndarray) -> np.ndarray:
-    """Add the change at the band, then restore the distance: beyond the band from the mask, within it by Sussman steps."""
+    """Add the change at the band, then restore the distance without moving the zero level.
+
+    Sites beside the zero level take phi / |grad phi|; the rest of the near band follows by Sussman steps; what lies
+    farther takes the distance of the mask.
+    """
     phi = phi.copy()
     phi[at] += change
     fresh = signed_distance(phi < 0)
-    near = np.abs(fresh) <= 2.5
+    near = np.abs(fresh) <= 3
+    beside = np.abs(fresh) <= 0.5
+    sites = np.argwhere(beside)
     start = np.where(near, np.clip(phi, fresh - 1, fresh + 1), fresh)
-    return _sussman(start, np.argwhere(near))
+    start[tuple(sites.T)] = phi[tuple(sites.T)] / np.clip(_slope(phi, sites), 0.3, 3.0)
+    return _sussman(start, np.argwhere(near & ~beside))
+
+
+def _slope(phi: np.ndarray, sites: np.ndarray) -> np.ndarray:
+    """|grad phi| by central differences at the sites: (n, d) -> (n,)."""
+    top, eye = np.asarray(phi.shape) - 1, np.eye(phi.ndim, dtype=int)
+    rise = [(phi[tuple(np.clip(sites + e, 0, top).T)] - phi[tuple(np.clip(sites - e, 0, top).T)]) / 2 for e in eye]
+    return np.sqrt(sum(g * g for g in rise))
 
 
 def _sussman(phi: np.ndarray, sites: np.ndarray, n: int = 3) -> np.ndarray:
-    """A few steps of phi_t = sign(phi0)(1 - |grad phi|), Godunov upwind, at the sites only."""
+    """Take a few steps of phi_t = sign(phi0)(1 - |grad phi|), Godunov upwind, at the sites only."""
     top, at, eye = np.asarray(phi.shape) - 1, tuple(sites.T), np.eye(phi.ndim, dtype=int)
     sign = phi[at] / np.sqrt(phi[at] ** 2 + 1)
     for _ in range(n):

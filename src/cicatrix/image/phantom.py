@@ -1,4 +1,4 @@
-"""The digital phantom "half-ellipsoid": a breast MRI whose labels are known, because no patient image may be shipped."""
+"""The digital phantom "half-ellipsoid": a breast MRI with known labels, because no patient image may be shipped."""
 
 from __future__ import annotations
 
@@ -131,7 +131,7 @@ def _fractions(anatomy: Anatomy, grid: Volume, shift: np.ndarray) -> np.ndarray:
     nz, ny, nx = grid.shape
     plane = np.stack(np.meshgrid([0], np.arange(ny), np.arange(nx), indexing="ij"), axis=-1).reshape(-1, 3)
     for k in range(nz):
-        centres = (grid.position(plane + [k, 0, 0]) - shift).astype(np.float32)
+        centres = (grid.position(plane + np.array([k, 0, 0])) - shift).astype(np.float32)
         for offset in offsets:
             part = anatomy.parts(centres + (offset * spacing).astype(np.float32)).reshape(ny, nx)
             for index in np.unique(part):
@@ -141,7 +141,7 @@ def _fractions(anatomy: Anatomy, grid: Volume, shift: np.ndarray) -> np.ndarray:
 
 def _majority(fractions: np.ndarray) -> np.ndarray:
     """Label that fills most of each voxel: (n_parts, nz, ny, nx) -> (nz, ny, nx) uint8."""
-    by_label = np.stack([fractions[LABEL_OF == label].sum(axis=0) for label in Label])
+    by_label = np.stack([fractions[label == LABEL_OF].sum(axis=0) for label in Label])
     return by_label.argmax(axis=0).astype(np.uint8)
 
 

@@ -136,7 +136,9 @@ def _body(image: Volume) -> np.ndarray:
     log = np.log(np.clip(smooth, 2e-3 * top, top))
     rough = _largest(ndi.binary_opening(smooth > np.exp(_otsu(log))))
     if not rough.any():
-        raise InputError("image: no breast found, nothing stands out from the background; give a T1-weighted breast MRI.")
+        raise InputError(
+            "image: no breast found, nothing stands out from the background; give a T1-weighted breast MRI."
+        )
     rough = np.stack([ndi.binary_fill_holes(s) for s in rough])
     inside, outside = np.median(smooth[rough]), np.median(smooth[~rough]) if not rough.all() else np.inf
     if rough.sum() * np.prod(image.spacing_mm) < 1000 * LEAST_BODY_ML or inside < LEAST_CONTRAST * outside:
@@ -166,7 +168,7 @@ def _largest(mask: np.ndarray) -> np.ndarray:
 def _chest(
     flat: Volume, body: np.ndarray, fat_bright: bool, side: str, given: ChestWall | None
 ) -> tuple[np.ndarray, np.ndarray, str]:
-    """What lies behind the wall (nz, ny, nx), which columns are breast (nz, nx), and a note."""
+    """Find what lies behind the wall (nz, ny, nx), which columns are breast (nz, nx), and a note."""
     coarse, solid = _coarse(flat, body)
     x_mm, skin = _axis(coarse, 2), coarse.origin_mm[1] + wall.front(solid) * coarse.spacing_mm[1]
     sign = 1.0 if side == "left" else -1.0

@@ -90,16 +90,18 @@ def _contrast(image: Volume, fat_bright: bool) -> np.ndarray:
     """Signed normalised difference between the tissue in front and behind, (nz, ny, nx) in -1..1."""
     sz, sy, sx = image.spacing_mm[::-1]
     smooth = ndi.gaussian_filter(image.values.astype(np.float32), (2.0 / sz, 0.5 / sy, 2.0 / sx))
-    n = max(int(round(REACH_MM / sy)), 1)
+    n = max(round(REACH_MM / sy), 1)
     mean = ndi.uniform_filter1d(smooth, n, axis=1, mode="nearest")
     ahead = ndi.shift(mean, (0, n / 2, 0), order=1, mode="nearest")
     behind = ndi.shift(mean, (0, -n / 2, 0), order=1, mode="nearest")
     floor = 0.1 * np.percentile(smooth, 90)
     if not fat_bright:
         return (behind - ahead) / (ahead + behind + floor)
-    size = [int(round(20.0 / sz)), int(round(60.0 / sy)), int(round(20.0 / sx))]
+    size = [round(20.0 / sz), round(60.0 / sy), round(20.0 / sx)]
     fat = ndi.maximum_filter(mean, [min(s, n) for s, n in zip(size, mean.shape)])
-    return 1.5 * (ahead - behind) / (fat + floor)  # against fat, else muscle to lung would count more than fat to muscle
+    return (
+        1.5 * (ahead - behind) / (fat + floor)
+    )  # against fat, else muscle to lung would count more than fat to muscle
 
 
 def _aggregate(cost: np.ndarray) -> np.ndarray:
@@ -153,7 +155,7 @@ def foot(height_mm: np.ndarray, on_side: np.ndarray, voxel_mm: tuple[float, floa
             "check side, position and image, or give the chest wall or a label map."
         )
     least = float(np.clip(FOOT_SHARE * top, *FOOT_MM))
-    radius = [max(int(round(4 / v)), 1) for v in voxel_mm]
+    radius = [max(round(4 / v), 1) for v in voxel_mm]
     tall = ndi.binary_opening(height > least, np.ones((2 * radius[0] + 1, 2 * radius[1] + 1)))
     pieces, n = ndi.label(tall)
     if n == 0:

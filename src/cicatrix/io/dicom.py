@@ -37,7 +37,7 @@ def series_files(folder: Path) -> list[Path]:
     Raises
     ------
     InputError
-        No DICOM file, more than one series, multi-frame files, slices without a position, twice at one place, or missing.
+        No DICOM file, more than one series, slices without a position, twice at one place, or missing.
     """
     series: dict[str, list[tuple[Path, pydicom.Dataset]]] = {}
     for path in sorted(p for p in folder.iterdir() if p.is_file()):
@@ -45,9 +45,7 @@ def series_files(folder: Path) -> list[Path]:
         if header is not None and "Rows" in header:
             series.setdefault(str(header.get("SeriesInstanceUID", "")), []).append((path, header))
     if not series:
-        raise InputError(
-            f"{folder.name}: the folder holds no DICOM image; give the folder whose files are the slices themselves."
-        )
+        raise InputError(f"{folder.name}: the folder holds no DICOM image; give the one whose files are the slices.")
     if len(series) > 1:
         counts = ", ".join(str(len(s)) for s in series.values())
         raise InputError(
@@ -57,7 +55,7 @@ def series_files(folder: Path) -> list[Path]:
 
 
 def _header(path: Path) -> pydicom.Dataset | None:
-    """The few tags needed, or None if the file is not DICOM."""
+    """Read the few tags needed, or None if the file is not DICOM."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

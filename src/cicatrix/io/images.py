@@ -1,4 +1,4 @@
-"""Images in and out: NIfTI, NRRD, MHA files and DICOM folders become axis-aligned LPS volumes; only voxels and geometry pass."""
+"""Images in and out: files and DICOM folders become axis-aligned LPS volumes; only voxels and geometry pass."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-import SimpleITK as sitk
+import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
 
 from ..core.errors import InputError
 from ..geometry.labels import Label
 from ..geometry.volume import Volume
 from .dicom import series_files
+from .nifti import check_nifti
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 KNOWN = "NIfTI (.nii, .nii.gz), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a folder with one DICOM series"
@@ -70,14 +71,12 @@ def read_labels(path: str | Path) -> Volume:
             f"{name}: a label map holds only 0 air, 1 fat, 2 gland, 3 skin, 4 tumour and 5 chest; it also has {shown}."
         )
     if not ((values > Label.AIR) & (values < Label.CHEST)).any():
-        raise InputError(
-            f"{name}: the label map has no voxel of the breast; at least one of 1 fat, 2 gland, 3 skin, 4 tumour is needed."
-        )
+        raise InputError(f"{name}: the label map has no voxel of the breast (1 fat, 2 gland, 3 skin, 4 tumour).")
     return _volume(_axis_aligned(sitk.Cast(image, sitk.sitkUInt8), sitk.sitkNearestNeighbor))
 
 
 def write_volume(path: str | Path, volume: Volume) -> None:
-    """Write a volume as NIfTI; channels (n_channels, nz, ny, nx) become the fourth axis. No text is written to the header."""
+    """Write a volume as NIfTI; channels (n_channels, nz, ny, nx) become its fourth axis. No text goes to the header."""
     values = np.ascontiguousarray(volume.values)
     image = sitk.GetImageFromArray(values, isVector=False)
     pad = values.ndim - 3
@@ -101,6 +100,8 @@ def _read(path: Path) -> sitk.Image:
         except RuntimeError as error:
             raise InputError(_unreadable(path.name, str(error))) from None
         _check_form(reader.GetDimension(), reader.GetSize(), reader.GetNumberOfComponents(), path.name)
+        if path.name.endswith((".nii", ".nii.gz")):
+            check_nifti(path)
         try:
             return reader.Execute()
         except RuntimeError:
@@ -108,7 +109,7 @@ def _read(path: Path) -> sitk.Image:
 
 
 def _unreadable(name: str, reason: str) -> str:
-    """The sentence for a header ITK cannot use."""
+    """Word the sentence for a header ITK cannot use."""
     if "orthonormal" in reason:
         return f"{name}: the header's axes are sheared (not orthonormal); resample the image onto a rectangular grid."
     return f"{name}: this is not an image that can be read; give {KNOWN}, complete and under its right name."
@@ -141,7 +142,7 @@ def _read_series(folder: Path) -> sitk.Image:
             image = reader.Execute()
         except RuntimeError:
             raise InputError(
-                f"{folder.name}: a slice of the DICOM series is cut short, damaged or of another size; export the series again."
+                f"{folder.name}: a slice of the DICOM series is cut short, damaged or of another size; export it again."
             ) from None
     _check_form(image.GetDimension(), image.GetSize(), image.GetNumberOfComponentsPerPixel(), folder.name)
     return image
@@ -188,7 +189,7 @@ def _volume(image: sitk.Image) -> Volume:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what the C++ libraries print to file descriptors 1 and 2 away from the user; Python's own streams are untouched."""
+    """Keep what the C++ libraries print to file descriptors 1 and 2 away from the user."""
     shown = sitk.ProcessObject.GetGlobalWarningDisplay()
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     sys.stdout.flush()
