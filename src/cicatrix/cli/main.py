@@ -14,9 +14,9 @@ from typing import NoReturn
 
 from .. import __version__
 from ..core.errors import CicatrixError, ConvergenceError, InputError
-from . import bench, check, demo, run
+from . import bench, check, demo, run, segment
 
-VERBS = (demo, run, check, bench)  # in the order of the road
+VERBS = (demo, run, check, segment, bench)  # in the order of the road
 
 DONE, INPUT_AT_FAULT, FAILED, INTERRUPTED = 0, 2, 3, 130
 

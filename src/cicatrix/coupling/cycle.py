@@ -130,12 +130,15 @@ class HealingCycle:
         ConvergenceError
             If no equilibrium is found.
         """
+        fresh = self._equilibrated(self.unhealed(self.x_intact), self.x_intact)
+        return replace(fresh, W_ref=self.edge_energy(fresh))
+
+    def unhealed(self, x: np.ndarray) -> TissueState:
+        """The open cavity in a given shape x (n_nodes, 3) [mm]."""
         healing = self.automaton.initial_state()
         space = self.intact.frame.space
         natural = np.broadcast_to(np.eye(3), (space.n_elements, space.table.weight.size, 3, 3))
-        draft = TissueState(0, healing, self.filled(healing), natural, self.x_intact, 0)
-        fresh = self._equilibrated(draft, self.x_intact)
-        return replace(fresh, W_ref=self.edge_energy(fresh))
+        return TissueState(0, healing, self.filled(healing), natural, x, 0)
 
     def step(self, state: TissueState) -> TissueState:
         """One cycle: the cells heal under the present energy, then the body finds its shape with what they filled.

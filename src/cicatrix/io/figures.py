@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from ..geometry.hexgrid import Lattice
 from ..geometry.labels import Label
+from ..mechanics.body import Body
 from ..study.lumpectomy import Anatomy, Plan
 
 BEFORE, HEALED, WOUND = "#000000", "#d62728", "#e69f00"
@@ -24,16 +25,17 @@ TISSUE_COLOURS = {Label.FAT: "#f0e442", Label.GLAND: "#0072b2", Label.SKIN: "#cc
 def section_figure(planned: Plan, anatomy: Anatomy) -> Figure:
     """The section as imaged: picture, tissue classes, mesh, cavity."""
     figure, axes = plt.subplots(1, 2, figsize=(12, 5.6), layout="constrained")
-    points = planned.section.to_patient(planned.raster.points)
+    raster = planned.section.raster(anatomy.labels, min(*anatomy.labels.spacing_mm, 1.0))
+    points = planned.section.to_patient(raster.points)
     picture = anatomy.image.sample(points) if anatomy.image is not None else anatomy.labels.sample(points, order=0)
     for ax in axes:
         top = np.percentile(picture, 99.5)
-        ax.imshow(picture, extent=planned.raster.extent, cmap="gray", vmin=0, vmax=top)
+        ax.imshow(picture, extent=raster.extent, cmap="gray", vmin=0, vmax=top)
         _dress(ax, planned)
     shares = anatomy.probabilities.sample(points)
     for channel, (label, colour) in enumerate(TISSUE_COLOURS.items()):
         if (shares[channel] > 0.5).any():
-            axes[0].contour(planned.raster.points[..., 0], planned.raster.points[..., 1], shares[channel], [0.5], colors=[colour], linewidths=0.8)
+            axes[0].contour(raster.points[..., 0], raster.points[..., 1], shares[channel], [0.5], colors=[colour], linewidths=0.8)
             axes[0].plot([], [], color=colour, label=label.name.lower())
     axes[0].legend(loc="lower right", fontsize=8)
     axes[0].set_title("tissue classes")
@@ -64,6 +66,11 @@ def energy_figure(planned: Plan, panels: Mapping[str, tuple[np.ndarray, np.ndarr
     _zoom(axes[0], np.concatenate([x[triangles.ravel(), :2] for x, _, _ in panels.values()]))
     figure.colorbar(drawn, ax=axes, label="strain energy density [kPa]", shrink=0.8)
     return figure
+
+
+def energy_panel(body: Body, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What ``energy_figure`` draws of a body: positions, mean energy per element [kPa], elements with tissue."""
+    return x, body.energy_density(X, x).mean(axis=1), body.fraction > 0.0
 
 
 def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]) -> Figure:

@@ -18,16 +18,18 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import ConvergenceError, InputError
+from ..geometry.volume import Volume
 from . import checkpoints
 from .atomic import replacing, write_json
 from .checkpoints import Checkpoint
 from .fields import Frame, read_series, write_series, write_vtu
 from .folders import holds_something, lock, make, remove, sweep, unlock
 from .history import History, read_history
+from .images import write_volume
 from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
 from .progress import Progress
 
-PRODUCTS = ("checkpoint", "outcome.json", "history.csv", "fields", "figures")
+PRODUCTS = ("checkpoint", "outcome.json", "history.csv", "fields", "figures", "labels.nii.gz")
 
 
 @dataclass(frozen=True)
@@ -206,6 +208,13 @@ class RunFolder:
         path = self.path / "figures" / f"{name}.png"
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=dpi, format="png", metadata={"Software": None})
+        return path
+
+    def save_labels(self, labels: Volume) -> Path:
+        """Write the label map that the run is built on; corrected by hand, it can be a case's ``image.labels``."""
+        path = self.path / "labels.nii.gz"
+        with replacing(path) as half:
+            write_volume(half, labels)
         return path
 
     def save_checkpoint(

@@ -13,6 +13,7 @@ from typing import Annotated, Literal
 from pydantic import BaseModel, ConfigDict, model_validator
 
 from ..core.units import days_from_hours
+from ..healing.rates import CELL_UM, HOURS_PER_STEP, LAYER_UM, MOTILITY_SUBSTEPS, P_EDGE, P_LAYER
 from .limits import (
     Ascending,
     Integer,
@@ -27,7 +28,7 @@ from .limits import (
 )
 
 Position = Literal["prone", "supine", "upright"]
-REFERENCE_PITCH_UM = 10.0  # the pitch at which healing.hours_per_step is given
+REFERENCE_PITCH_UM = CELL_UM  # the pitch at which healing.hours_per_step is given
 
 
 class Table(BaseModel):
@@ -154,12 +155,12 @@ class Healing(Table):
     deposition_prestretch: Positive = 1.0
     contraction_kPa: NotNegative = 0.0
     pitch_um: Positive = 10.0
-    hours_per_step: Positive = 15.0
-    p_edge: Probability = 0.2
-    p_layer: Probability = 0.1
-    layer_um: Positive = 400.0
+    hours_per_step: Positive = HOURS_PER_STEP
+    p_edge: Probability = P_EDGE
+    p_layer: Probability = P_LAYER
+    layer_um: Positive = LAYER_UM
     contact_inhibition: Annotated[Integer, limits(least=0, most=6)] = 1
-    motility_substeps: Annotated[Integer, limits(least=0, most=64)] = 8
+    motility_substeps: Annotated[Integer, limits(least=0, most=64)] = MOTILITY_SUBSTEPS
     redistribution: Literal["route", "level-set"] = "route"
     feedback: NotNegative = 1.0
 

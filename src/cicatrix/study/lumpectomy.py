@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 import skfem
@@ -14,7 +12,7 @@ from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ..core.errors import InputError
 from ..core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2, density_kg_mm3, days_from_weeks, mm_from_um
-from ..coupling.cycle import HealingCycle, Tissue, TissueState, tissue_law
+from ..coupling.cycle import HealingCycle, Tissue, tissue_law
 from ..coupling.deposition import Deposition
 from ..geometry.hexgrid import Lattice
 from ..geometry.labels import TISSUES, Label
@@ -35,37 +33,17 @@ DOWN = {"upright": (0.0, 0.0, -1.0), "prone": (0.0, -1.0, 0.0), "supine": (0.0, 
 LEAST_SKIN_FLAP_MM = 3.0  # the cavity stays this far below the skin and off the chest wall
 
 
-class Listener(Protocol):
-    """Hears of the stages of long work."""
-
-    def stage(self, name: str):
-        """Enter a stage: a context manager."""
-        ...
-
-    def update(self, fraction: float, text: str = "") -> None:
-        """Hear how far the stage is, 0 to 1."""
-        ...
-
-
-class Silent:
-    """A listener that does nothing."""
-
-    @contextmanager
-    def stage(self, name: str) -> Iterator[None]:
-        """Enter a stage."""
-        yield
-
-    def update(self, fraction: float, text: str = "") -> None:
-        """Hear how far the stage is."""
-
-
 @dataclass(frozen=True, eq=False)
 class Anatomy:
-    """The segmented image: labels (nz, ny, nx) and tissue probabilities (4, nz, ny, nx) on one grid."""
+    """The segmented image: labels (nz, ny, nx) and tissue probabilities (4, nz, ny, nx) on one grid.
+
+    ``tumour_mm`` (3,) LPS [mm] is where the tumour is known to be, if it is known otherwise than by its label.
+    """
 
     image: Volume | None
     labels: Volume
     probabilities: Volume
+    tumour_mm: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,14 +51,19 @@ class Plan:
     """The section, its mesh and the body in it, before anything is removed."""
 
     section: Section
-    raster: Raster
     mesh: skfem.MeshTri
     intact: Body
     tissue: Tissue
     scar: Tissue
-    cavity: np.ndarray
     centre_mm: np.ndarray
     radius_mm: float
+
+    @cached_property
+    def cavity(self) -> np.ndarray:
+        """Elements that the resection takes out (n_elements,) bool."""
+        removed = np.zeros(self.mesh.nelements, bool)
+        removed[self.mesh.subdomains["cavity"]] = True
+        return removed
 
     @property
     def x_imaged(self) -> np.ndarray:
@@ -108,22 +91,22 @@ class Plan:
         return self.section.from_patient(np.array(DOWN[position])) * acceleration_mm_s2(STANDARD_GRAVITY_M_S2)
 
 
-def resection_of(case: LumpectomyCase, labels: Volume) -> np.ndarray:
-    """Centre of the resection: as the case says, else the centroid of the tumour's voxels (3,) LPS [mm].
+def resection_of(case: LumpectomyCase, anatomy: Anatomy) -> np.ndarray:
+    """Centre of the resection (3,) LPS [mm]: as the case says, else the tumour's.
 
     Raises
     ------
     InputError
-        If there is neither, or the centre lies outside the breast.
+        If there is neither.
     """
     if case.resection.centre_mm is not None:
-        centre = np.asarray(case.resection.centre_mm, float)
-    else:
-        tumour = np.argwhere(labels.values == Label.TUMOUR)
-        if not len(tumour):
-            raise InputError("resection.centre_mm is missing and the labels hold no tumour: give the centre.")
-        centre = labels.position(tumour.mean(axis=0))
-    return centre
+        return np.asarray(case.resection.centre_mm, float)
+    if anatomy.tumour_mm is not None:
+        return anatomy.tumour_mm
+    tumour = np.argwhere(anatomy.labels.values == Label.TUMOUR)
+    if not len(tumour):
+        raise InputError("resection.centre_mm is missing and the labels hold no tumour: give the centre.")
+    return anatomy.labels.position(tumour.mean(axis=0))
 
 
 def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
@@ -134,7 +117,7 @@ def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
     InputError
         If the section holds no breast, no chest wall, or the resection does not lie inside it.
     """
-    centre = resection_of(case, anatomy.labels)
+    centre = resection_of(case, anatomy)
     normal = Section(case.image.plane, 0.0).axes[2]
     position = centre[normal] if case.image.slice_mm is None else case.image.slice_mm
     section = Section(case.image.plane, float(position))
@@ -149,10 +132,34 @@ def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
         interpolant(body, raster), cavity, points.min(axis=0), points.max(axis=0), case.mesh.edge_mm, case.mesh.cavity_edge_mm
     )
     mesh = label_borders(mesh, _is_wall(anatomy.labels, section, raster))
-    intact, tissue, scar = _body(case, anatomy, section, mesh)
-    removed = np.zeros(mesh.nelements, bool)
-    removed[mesh.subdomains["cavity"]] = True
-    return Plan(section, raster, mesh, intact, tissue, scar, removed, centre, radius)
+    return _filled(case, section, mesh, _tissue(case, anatomy, section, Space(mesh)), centre, radius)
+
+
+def plan_arrays(planned: Plan) -> dict[str, np.ndarray]:
+    """What ``plan_from_arrays`` needs to make the same plan again."""
+    mesh, tissue = planned.mesh, planned.tissue
+    return {
+        "points": mesh.p,
+        "triangles": mesh.t,
+        "cavity": mesh.subdomains["cavity"],
+        "skin": mesh.boundaries["skin"],
+        "wall": mesh.boundaries["wall"],
+        "mu": tissue.mu,
+        "kappa": tissue.kappa,
+        "density": tissue.density,
+        "section_mm": np.array(planned.section.position_mm),
+        "centre_mm": planned.centre_mm,
+        "radius_mm": np.array(planned.radius_mm),
+    }
+
+
+def plan_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> Plan:
+    """Make the plan of a stopped run again, to the bit, without the image."""
+    mesh = skfem.MeshTri(arrays["points"], arrays["triangles"]).with_subdomains({"cavity": arrays["cavity"]})
+    mesh = mesh.with_boundaries({name: arrays[name] for name in ("skin", "wall")})
+    section = Section(case.image.plane, float(arrays["section_mm"]))
+    tissue = Tissue(arrays["mu"], arrays["kappa"], arrays["density"])
+    return _filled(case, section, mesh, tissue, arrays["centre_mm"], float(arrays["radius_mm"]))
 
 
 def _radius_in_plane(radius: float, offset: float) -> float:
@@ -204,17 +211,17 @@ def _is_wall(labels: Volume, section: Section, raster: Raster):
     return lambda p: map_coordinates(nearer_chest.astype(float), raster.index(p) + 1.0, order=1, mode="nearest") > 0.5
 
 
-def _body(case: LumpectomyCase, anatomy: Anatomy, section: Section, mesh: skfem.MeshTri) -> tuple[Body, Tissue, Tissue]:
-    space = Space(mesh)
+def _filled(
+    case: LumpectomyCase, section: Section, mesh: skfem.MeshTri, tissue: Tissue, centre: np.ndarray, radius: float
+) -> Plan:
+    """Join mesh and tissue to the intact body."""
     wall = mesh.boundaries["wall"]
     if not len(wall):
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
+    space = Space(mesh)
     frame = Frame(space, mesh.boundaries["skin"], np.unique(space.edge_nodes(wall)))
-    tissue = _tissue(case, anatomy, section, space)
-    new = case.tissue.scar
-    mu, kappa = moduli_from_young(new.E_kPa, new.nu)
-    scar = Tissue(mu, kappa, density_kg_mm3(new.density_kg_m3))
-    skin = case.tissue.skin
+    new, skin = case.tissue.scar, case.tissue.skin
+    scar = Tissue(*moduli_from_young(new.E_kPa, new.nu), density_kg_mm3(new.density_kg_m3))
     natural = np.broadcast_to(np.eye(3), (*tissue.mu.shape, 3, 3))
     intact = Body(
         frame,
@@ -224,7 +231,7 @@ def _body(case: LumpectomyCase, anatomy: Anatomy, section: Section, mesh: skfem.
         skin=NeoHookean(*moduli_from_young(skin.E_kPa, skin.nu)),
         skin_thickness=np.full(len(frame.skin_facets), skin.thickness_mm),
     )
-    return intact, tissue, scar
+    return Plan(section, mesh, intact, tissue, scar, centre, radius)
 
 
 def _tissue(case: LumpectomyCase, anatomy: Anatomy, section: Section, space: Space) -> Tissue:
