@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from ..geometry.transfer import SiteMap, linear_fit
@@ -180,12 +182,24 @@ class HealingCycle:
         return cycle * self.days_per_cycle
 
     def body(self, state: TissueState) -> Body:
-        """The body as it is: elements with hardly any tissue are out, the others count by the share that is filled."""
-        fraction = np.where(state.filled < LEAST_FILLED, 0.0, state.filled)
+        """The body as it is: elements with hardly any tissue are out, the others count by the share that is filled.
+
+        An element that hangs on the rest by a corner only would swing freely, so it waits until a side is held.
+        """
+        fraction = np.where(self._held(state.filled >= LEAST_FILLED), state.filled, 0.0)
         is_new = self.cavity[:, None]
         elastic = NeoHookean(np.where(is_new, self.scar.mu, self.tissue.mu), np.where(is_new, self.scar.kappa, self.tissue.kappa))
         law = tissue_law(elastic, np.where(is_new, self.contraction, 0.0) * np.ones_like(self.tissue.mu), state.natural)
         return self.intact.with_tissue(law, np.where(is_new, self.scar.density, self.tissue.density), fraction)
+
+    def _held(self, chosen: np.ndarray) -> np.ndarray:
+        """Chosen elements that are joined side by side to tissue that was there before (n_elements,) bool."""
+        inner, outer = self.intact.frame.space.mesh.f2t
+        sides = (outer >= 0) & chosen[inner] & chosen[np.maximum(outer, 0)]
+        n = chosen.size
+        graph = sp.coo_array((np.ones(np.count_nonzero(sides)), (inner[sides], outer[sides])), shape=(n, n))
+        _, part = connected_components(graph, directed=False)
+        return chosen & np.isin(part, part[~self.cavity & chosen])
 
     def open_sites(self, healing: AutomatonState) -> np.ndarray:
         """Sites that wait for a cell: bool array of the lattice's shape."""

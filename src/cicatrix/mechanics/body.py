@@ -104,6 +104,8 @@ class Body:
         Law of the skin membrane.
     skin_thickness : (n_edges,) array [mm]
         0 where there is no skin.
+    wrinkling_strain : float [1]
+        Shortening at which the skin wrinkles and bears no more.
     """
 
     frame: Frame
@@ -112,6 +114,7 @@ class Body:
     fraction: np.ndarray
     skin: EnergyMaterial
     skin_thickness: np.ndarray
+    wrinkling_strain: float = 0.1
 
     def with_tissue(self, law: EnergyMaterial, density: np.ndarray, fraction: np.ndarray) -> Body:
         """The same frame and skin, other tissue; refuses nothing and compiles nothing."""
@@ -123,7 +126,7 @@ class Body:
 
     @property
     def _membrane(self) -> Membrane:
-        return Membrane(self.skin, jnp.asarray(self.skin_thickness))
+        return Membrane(self.skin, jnp.asarray(self.skin_thickness), jnp.asarray(self.wrinkling_strain))
 
     @cached_property
     def active_nodes(self) -> np.ndarray:

@@ -37,6 +37,8 @@ class Membrane(NamedTuple):
     law: EnergyMaterial
     thickness: Array
     """Reference thickness (n_edges,) [mm]."""
+    wrinkling_strain: Array
+    """Shortening at which it wrinkles [1]."""
 
 
 def local_map(x: Array, gradient: np.ndarray) -> Array:
@@ -141,7 +143,7 @@ class Linearised(NamedTuple):
     gap: Array
     """J_bar(x) - J_bar (n, n_qp) [1]."""
     volume_rate: Array
-    """Change of J_bar(x) by dx (n, n_qp, 21) [1/mm]."""
+    """Change of J_bar(x) by dx (n, n_qp, 21) [1/mm]; 0 in open elements."""
 
 
 def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Linearised:
@@ -161,7 +163,8 @@ def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Li
     K = jnp.swapaxes(strain, 1, 2) @ A.reshape(n, n_qp * 9, 3 * a)
     K += jnp.swapaxes(per_volume, 1, 2) @ dJ + jnp.swapaxes(weights * dJ, 1, 2) @ backward
     gap = jnp.einsum("eqr,er->eq", projection, det(F)) - J_bar
-    return Linearised(K, jnp.einsum("eqm,eq->em", per_volume, gap).reshape(n, a, 3), gap, dJ)
+    has_tissue = (bulk.fraction > 0.0)[:, None, None]
+    return Linearised(K, jnp.einsum("eqm,eq->em", per_volume, gap).reshape(n, a, 3), gap, jnp.where(has_tissue, dJ, 0.0))
 
 
 def tied_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
@@ -180,35 +183,45 @@ def _point_derivatives(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Ar
 
 
 def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    """Strain energy per depth of each skin edge: X, x (n, 3, 3) [mm] -> (n,) [mN]; its thickness keeps the volume.
+    r"""Strain energy per depth of each skin edge: X, x (n, 3, 3) [mm] -> (n,) [mN]; its thickness keeps the volume.
 
-    Skin is thin: where it would be compressed it wrinkles and carries nothing along that direction. The energy is the
-    relaxed one of tension-field theory (Pipkin 1986), without which wrinkles would form at the size of the mesh.
+    A stiff film on soft tissue wrinkles when it is shortened by more than a small strain, and then bears no more than
+    the load at which it wrinkled (Allen 1969). Wrinkles are finer than the mesh, so this is the energy averaged over them:
+    the law's own where the edge is stretched; where it is shortened by :math:`\epsilon`, :math:`k \epsilon_w [\epsilon -
+    \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`, whose stress starts with the law's modulus k and ends at
+    :math:`k \epsilon_w`. It is smooth, and its tangent never negative.
     """
     X_s = jnp.einsum("eai,qa->eqi", X, table.gradient[..., 0])
     x_s = jnp.einsum("eai,qa->eqi", x, table.gradient[..., 0])
     length = jnp.sqrt(X_s[..., 0] ** 2 + X_s[..., 1] ** 2)
     stretch = jnp.sqrt(x_s[..., 0] ** 2 + x_s[..., 1] ** 2) / length
     shear = (x_s[..., 2] - X_s[..., 2]) / length
-    W = _relaxed_energy(membrane.law, stretch, shear)
+    shortening = jnp.maximum(1.0 - stretch, 0.0)
+    limit = membrane.wrinkling_strain
+    wrinkles = film_modulus(membrane.law) * limit * (shortening + limit * jnp.expm1(-shortening / limit))
+    W = membrane.law.energy(film(jnp.maximum(stretch, 1.0), shear)) + wrinkles
     return membrane.thickness * jnp.sum(table.weight * length * W, axis=-1)
 
 
-def _relaxed_energy(law: EnergyMaterial, stretch: Array, shear: Array) -> Array:
-    """Tension-field energy of an isotropic incompressible film stretched along its edge and sheared along the normal."""
+def film(stretch: Array, shear: Array) -> Array:
+    """Deformation gradient (..., 3, 3) of an incompressible film in its own axes: edge, thickness, normal of the section."""
     zero, one = jnp.zeros_like(stretch), jnp.ones_like(stretch)
-    taut = _matrix([[stretch, zero, zero], [zero, 1.0 / stretch, zero], [shear, zero, one]])
-    trace, determinant = stretch**2 + shear**2 + 1.0, stretch**2
-    gap = jnp.sqrt(jnp.maximum(trace**2 - 4.0 * determinant, 0.0) + 1e-12)
-    largest = jnp.sqrt(0.5 * (trace + gap))
-    width = 1.0 / jnp.sqrt(largest)
-    wrinkled = _matrix([[largest, zero, zero], [zero, width, zero], [zero, zero, width]])
-    is_taut = determinant * (1.0 + 1e-5) >= largest
-    return jnp.where(is_taut, law.energy(taut), law.energy(wrinkled))
-
-
-def _matrix(rows: list[list[Array]]) -> Array:
+    rows = [[stretch, zero, zero], [zero, 1.0 / stretch, zero], [shear, zero, one]]
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def film_modulus(law: EnergyMaterial) -> Array:
+    """Second derivative of the film's energy by stretch at rest [kPa]; 4 mu for a neo-Hookean law."""
+    one = jnp.ones(())
+    return jax.grad(jax.grad(lambda s: law.energy(film(s, 0.0 * s))))(one)
+
+
+def wrinkling_strain(E_film: float, E_below: float) -> float:
+    """Compression at which a stiff film on a soft half-space wrinkles: (3 E_below / E_film)^(2/3) / 4 [1].
+
+    Source: Allen, Analysis and design of structural sandwich panels (1969), for equal Poisson ratios.
+    """
+    return 0.25 * (3.0 * E_below / E_film) ** (2.0 / 3.0)
 
 
 def membrane_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:

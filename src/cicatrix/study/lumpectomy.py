@@ -24,6 +24,7 @@ from ..healing.automaton import Automaton
 from ..healing.rates import rules_at_pitch
 from ..materials.neo_hookean import NeoHookean, moduli_from_young
 from ..mechanics.body import Body, Frame
+from ..mechanics.elements import wrinkling_strain
 from ..mechanics.equilibrium import Equilibrium
 from ..mechanics.space import Space
 from .case import LumpectomyCase
@@ -230,6 +231,7 @@ def _filled(
         fraction=np.ones(space.n_elements),
         skin=NeoHookean(*moduli_from_young(skin.E_kPa, skin.nu)),
         skin_thickness=np.full(len(frame.skin_facets), skin.thickness_mm),
+        wrinkling_strain=wrinkling_strain(skin.E_kPa, case.tissue.fat.E_kPa),
     )
     return Plan(section, mesh, intact, tissue, scar, centre, radius)
 
