@@ -150,8 +150,8 @@ class Body:
 
     def linearised(
         self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, *, in_plane: bool, damping: float = 0.0
-    ) -> tuple[sp.csr_array, np.ndarray, Linearised]:
-        """Stiffness on the free dofs, force of the volume gap (n_nodes, 3) [mN/mm], and the elements' linearisation.
+    ) -> tuple[sp.csr_array, Linearised]:
+        """Stiffness on the free dofs, and the elements' linearisation.
 
         Rows of nodes that no tissue holds are those of the identity; ``damping`` times the nodal mass [kg/mm] is added
         to the diagonal.
@@ -162,8 +162,12 @@ class Body:
         if damping:
             diagonal += damping * np.repeat(self.lumped_mass(X), 3)[free]
         matrix = pattern.assemble([np.asarray(elements.stiffness), np.asarray(skin)], diagonal)
-        gap_force = self.frame.scatter([elements.gap_force, np.zeros(self.frame.skin_nodes.shape + (3,))])
-        return matrix, gap_force, elements
+        return matrix, Linearised(*map(np.asarray, elements))
+
+    def volume_force(self, elements: Linearised, gap: np.ndarray) -> np.ndarray:
+        """Change of force when J_bar changes by ``gap`` (n_elements, n_qp) -> (n_nodes, 3) [mN/mm]."""
+        force = np.einsum("eqm,eq->em", elements.force_rate, gap).reshape(len(gap), -1, 3)
+        return self.frame.scatter([force, np.zeros(self.frame.skin_nodes.shape + (3,))])
 
     def reference_tangent(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, *, in_plane: bool) -> sp.csr_array:
         """Derivative of the residual by the reference positions X on the free dofs [mN/mm^2]."""

@@ -138,16 +138,14 @@ class Linearised(NamedTuple):
 
     stiffness: Array
     """Change of force by dx (n, 21, 21) [mN/mm^2]."""
-    gap_force: Array
-    """Change of force that closes the gap between J_bar(x) and J_bar (n, 7, 3) [mN/mm]."""
-    gap: Array
-    """J_bar(x) - J_bar (n, n_qp) [1]."""
+    force_rate: Array
+    """Change of force by J_bar at each quadrature point (n, n_qp, 21) [mN/mm]."""
     volume_rate: Array
     """Change of J_bar(x) by dx (n, n_qp, 21) [1/mm]; 0 in open elements."""
 
 
 def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Linearised:
-    """Contract the point tangents to element matrices; ``tangent`` of ``tied_force`` is the slow twin where gap = 0."""
+    """Contract the point tangents to element matrices; ``tangent`` of ``tied_force`` is the slow twin where J_bar = J_bar(x)."""
     x = _tissue_only(X, x, bulk)
     F, projection, weights = kinematics(X, x, table)
     by_F, by_J = _point_derivatives(bulk.law, F, J_bar, _pressure(bulk.law, F, J_bar, projection))
@@ -162,9 +160,8 @@ def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Li
     per_volume = weights * (forward + by_J[1][..., None] * dJ)
     K = jnp.swapaxes(strain, 1, 2) @ A.reshape(n, n_qp * 9, 3 * a)
     K += jnp.swapaxes(per_volume, 1, 2) @ dJ + jnp.swapaxes(weights * dJ, 1, 2) @ backward
-    gap = jnp.einsum("eqr,er->eq", projection, det(F)) - J_bar
     has_tissue = (bulk.fraction > 0.0)[:, None, None]
-    return Linearised(K, jnp.einsum("eqm,eq->em", per_volume, gap).reshape(n, a, 3), gap, jnp.where(has_tissue, dJ, 0.0))
+    return Linearised(K, per_volume, jnp.where(has_tissue, dJ, 0.0))
 
 
 def tied_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -12,7 +14,9 @@ from ..core.errors import ConvergenceError
 from ..core.linear import LinearSolver, linear_solver
 from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body
+from .elements import Linearised
 
+REUSE_BELOW = 0.05  # a step that brings the residual below this share earns its tangent another one
 START_VOLUME = 0.01  # how far from 1 the volume ratio of a starting shape is believed
 
 
@@ -124,12 +128,18 @@ class Equilibrium:
             r = problem.free_part(body.residual(problem.X, x, problem.gravity, J_bar))
             return np.concatenate([r, scale * (body.dilation(problem.X, x) - J_bar).ravel()])
 
+        def linearise(z: np.ndarray) -> tuple[LinearSolver, Linearised]:
+            matrix, elements = body.linearised(problem.X, problem.positions(z[:n]), z[n:].reshape(shape), in_plane=problem.in_plane)
+            return self._factored("x", problem, matrix), elements
+
+        kept = _Kept(linearise)
+
         def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
-            x, J_bar = problem.positions(z[:n]), z[n:].reshape(shape)
-            matrix, gap_force, elements = body.linearised(problem.X, x, J_bar, in_plane=problem.in_plane)
-            du = self._solve_linear("x", problem, matrix, -(r[:n] + problem.free_part(gap_force)))
-            moved = (problem.positions(z[:n] + du) - x)[body.frame.space.element_nodes].reshape(shape[0], 1, -1)
-            dJ = np.sum(np.asarray(elements.volume_rate) * moved, axis=-1) + np.asarray(elements.gap)
+            solver, elements = kept.at(z, r)
+            gap = r[n:].reshape(shape) / scale
+            du = solver.solve(-(r[:n] + problem.free_part(body.volume_force(elements, gap))))
+            moved = (problem.positions(z[:n] + du) - problem.positions(z[:n]))[body.frame.space.element_nodes]
+            dJ = np.einsum("eqm,em->eq", elements.volume_rate, moved.reshape(shape[0], -1)) + gap
             return np.concatenate([du, dJ.ravel()])
 
         J_start = np.clip(body.dilation(problem.X, problem.x), 1.0 - START_VOLUME, 1.0 + START_VOLUME)
@@ -150,8 +160,9 @@ class Equilibrium:
         def step(values: np.ndarray, r: np.ndarray, damping: float) -> np.ndarray:
             x = problem.positions(values)
             damping *= max(np.linalg.norm(problem.gravity), 1.0)
-            matrix, _, _ = body.linearised(problem.X, x, body.dilation(problem.X, x), in_plane=problem.in_plane, damping=damping)
-            return self._solve_linear("x", problem, matrix, -r)
+            J_bar = body.dilation(problem.X, x)
+            matrix, _ = body.linearised(problem.X, x, J_bar, in_plane=problem.in_plane, damping=damping)
+            return self._factored("x", problem, matrix).solve(-r)
 
         start = problem.x.reshape(-1)[problem.free]
         tolerance = self.relative_tolerance * problem.weight
@@ -164,21 +175,41 @@ class Equilibrium:
         def residual(values: np.ndarray) -> np.ndarray:
             return problem.free_part(body.residual(problem.positions(values), problem.X, problem.gravity))
 
-        def step(values: np.ndarray, r: np.ndarray) -> np.ndarray:
+        def linearise(values: np.ndarray) -> LinearSolver:
             X = problem.positions(values)
             matrix = body.reference_tangent(X, problem.X, problem.gravity, in_plane=problem.in_plane)
-            return self._solve_linear("X", problem, matrix, -r)
+            return self._factored("X", problem, matrix)
+
+        kept = _Kept(linearise)
+
+        def step(values: np.ndarray, r: np.ndarray) -> np.ndarray:
+            return kept.at(values, r).solve(-r)
 
         start = problem.x.reshape(-1)[problem.free]
         tolerance = self.relative_tolerance * problem.weight
         return problem.positions(newton(residual, step, start, tolerance=tolerance, report=report))
 
-    def _solve_linear(self, unknown: str, problem: _Problem, matrix: sp.csr_array, rhs: np.ndarray) -> np.ndarray:
+    def _factored(self, unknown: str, problem: _Problem, matrix: sp.csr_array) -> LinearSolver:
         key = (unknown, problem.in_plane)
         if key not in self._linear:
             self._linear[key] = linear_solver(symmetric=unknown == "x")
         self._linear[key].factor(matrix)
-        return self._linear[key].solve(rhs)
+        return self._linear[key]
+
+
+class _Kept:
+    """A linearisation that is used again as long as it brings the residual down fast enough."""
+
+    def __init__(self, linearise: Callable[[np.ndarray], Any]) -> None:
+        self._linearise, self._value, self._norm = linearise, None, np.inf
+
+    def at(self, z: np.ndarray, r: np.ndarray) -> Any:
+        """The linearisation to use at z, where the residual is r."""
+        norm = float(np.linalg.norm(r))
+        if self._value is None or not norm < REUSE_BELOW * self._norm:
+            self._value = self._linearise(z)
+        self._norm = norm
+        return self._value
 
 
 @dataclass(frozen=True, eq=False)
