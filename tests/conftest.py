@@ -1,0 +1,45 @@
+"""What tests of several kinds build: small bodies on small meshes."""
+
+import numpy as np
+import pytest
+import skfem
+
+from cicatrix.materials.neo_hookean import NeoHookean
+from cicatrix.mechanics.body import Body, Frame
+from cicatrix.mechanics.space import Space
+
+
+@pytest.fixture(scope="session")
+def rectangle():
+    """Irregular triangles on a rectangle: (width, height, nx, ny) [mm] -> mesh; inner vertices moved by up to 15 %."""
+
+    def make(width, height, nx, ny):
+        mesh = skfem.MeshTri.init_tensor(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1))
+        p = mesh.p.copy()
+        inner = mesh.interior_nodes()
+        cell = np.array([[width / nx], [height / ny]])
+        p[:, inner] += 0.15 * cell * np.random.default_rng(3).uniform(-1, 1, (2, inner.size))
+        return skfem.MeshTri(p, mesh.t)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def body_on():
+    """Body on a mesh, held where ``is_fixed`` says so of edge midpoints (2, n); skin on every outer edge."""
+
+    def make(mesh, law, is_fixed, *, density=1e-6, fraction=None, skin=1.0, thickness=0.0):
+        space = Space(mesh)
+        facets = mesh.boundary_facets()
+        held = facets[is_fixed(mesh.p[:, mesh.facets[:, facets]].mean(axis=1))]
+        frame = Frame(space, facets, np.unique(space.edge_nodes(held)))
+        return Body(
+            frame,
+            law=law,
+            density=np.full((space.n_elements, space.table.weight.size), density),
+            fraction=np.ones(space.n_elements) if fraction is None else fraction,
+            skin=NeoHookean(skin, 1.0),
+            skin_thickness=np.full(len(facets), thickness),
+        )
+
+    return make
