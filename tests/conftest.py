@@ -4,9 +4,12 @@ import numpy as np
 import pytest
 import skfem
 
+from cicatrix.geometry.labels import TISSUES, Label
+from cicatrix.geometry.volume import Volume
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.body import Body, Frame
 from cicatrix.mechanics.space import Space
+from cicatrix.study.lumpectomy import Anatomy
 
 
 @pytest.fixture(scope="session")
@@ -41,5 +44,25 @@ def body_on():
             skin=NeoHookean(skin, 1.0),
             skin_thickness=np.full(len(facets), thickness),
         )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def half_disc():
+    """A half-disc breast of fat (y < 0) on a flat chest, with a small tumour."""
+
+    def make(radius_mm=30.0, tumour=True, chest=True):
+        z, y, x = np.meshgrid(
+            np.arange(-4.0, 5.0, 2.0), np.arange(-39.0, 12.0, 2.0), np.arange(-40.0, 41.0, 2.0), indexing="ij"
+        )
+        labels = np.where((x**2 + y**2 < radius_mm**2) & (y < 0), Label.FAT, Label.AIR).astype(np.uint8)
+        if tumour:
+            labels[x**2 + (y + 13.0) ** 2 + z**2 < 3.5**2] = Label.TUMOUR
+        if chest:
+            labels[y > 0] = Label.CHEST
+        volume = Volume(labels, (2.0, 2.0, 2.0), (-40.0, -39.0, -4.0))
+        shares = np.stack([labels == label for label in TISSUES]).astype(float)
+        return Anatomy(None, volume, volume.with_values(shares))
 
     return make
