@@ -153,10 +153,14 @@ class HealingCycle:
         cue = Cue(self.energy_at_sites(state).reshape(self.automaton.lattice.shape), state.W_ref or 1.0)
         healing, closure_step = self._heal(state, cue)
         filled = self.filled(healing)
-        F = deformation_gradients(self.intact.frame.space, self.X, state.x)
-        natural = self.deposition.natural(state.natural, state.filled, filled, F)
+        natural = self.deposition.natural(state.natural, state.filled, filled, self.felt_deformation(state.x))
         new = TissueState(state.cycle + 1, healing, filled, natural, state.x, 0, state.W_ref, closure_step)
         return self._equilibrated(new, state.x)
+
+    def felt_deformation(self, x: np.ndarray) -> np.ndarray:
+        """F that tissue feels, its volume ratio linear in each element: x (n_nodes, 3) [mm] -> (n_elements, n_qp, 3, 3)."""
+        F = deformation_gradients(self.intact.frame.space, self.X, x)
+        return np.cbrt(self.intact.dilation(self.X, x) / np.linalg.det(F))[..., None, None] * F
 
     def _heal(self, state: TissueState, cue: Cue) -> tuple[AutomatonState, int]:
         healing, closure_step = state.healing, state.closure_step

@@ -1,0 +1,68 @@
+"""What tests of several kinds build: small bodies on small meshes."""
+
+import numpy as np
+import pytest
+import skfem
+
+from cicatrix.geometry.labels import TISSUES, Label
+from cicatrix.geometry.volume import Volume
+from cicatrix.materials.neo_hookean import NeoHookean
+from cicatrix.mechanics.body import Body, Frame
+from cicatrix.mechanics.space import Space
+from cicatrix.study.lumpectomy import Anatomy
+
+
+@pytest.fixture(scope="session")
+def rectangle():
+    """Irregular triangles on a rectangle: (width, height, nx, ny) [mm] -> mesh; inner vertices moved by up to 15 %."""
+
+    def make(width, height, nx, ny):
+        mesh = skfem.MeshTri.init_tensor(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1))
+        p = mesh.p.copy()
+        inner = mesh.interior_nodes()
+        cell = np.array([[width / nx], [height / ny]])
+        p[:, inner] += 0.15 * cell * np.random.default_rng(3).uniform(-1, 1, (2, inner.size))
+        return skfem.MeshTri(p, mesh.t)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def body_on():
+    """Body on a mesh, held where ``is_fixed`` says so of edge midpoints (2, n); skin on every outer edge."""
+
+    def make(mesh, law, is_fixed, *, density=1e-6, fraction=None, skin=1.0, thickness=0.0):
+        space = Space(mesh)
+        facets = mesh.boundary_facets()
+        held = facets[is_fixed(mesh.p[:, mesh.facets[:, facets]].mean(axis=1))]
+        frame = Frame(space, facets, np.unique(space.edge_nodes(held)))
+        return Body(
+            frame,
+            law=law,
+            density=np.full((space.n_elements, space.table.weight.size), density),
+            fraction=np.ones(space.n_elements) if fraction is None else fraction,
+            skin=NeoHookean(skin, 1.0),
+            skin_thickness=np.full(len(facets), thickness),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def half_disc():
+    """A half-disc breast of fat (y < 0) on a flat chest, with a small tumour."""
+
+    def make(radius_mm=30.0, tumour=True, chest=True):
+        z, y, x = np.meshgrid(
+            np.arange(-4.0, 5.0, 2.0), np.arange(-39.0, 12.0, 2.0), np.arange(-40.0, 41.0, 2.0), indexing="ij"
+        )
+        labels = np.where((x**2 + y**2 < radius_mm**2) & (y < 0), Label.FAT, Label.AIR).astype(np.uint8)
+        if tumour:
+            labels[x**2 + (y + 13.0) ** 2 + z**2 < 3.5**2] = Label.TUMOUR
+        if chest:
+            labels[y > 0] = Label.CHEST
+        volume = Volume(labels, (2.0, 2.0, 2.0), (-40.0, -39.0, -4.0))
+        shares = np.stack([labels == label for label in TISSUES]).astype(float)
+        return Anatomy(None, volume, volume.with_values(shares))
+
+    return make

@@ -1,0 +1,191 @@
+"""The element: patch test, derivatives against a slow twin and differences, skin and antiplane shear in closed form."""
+
+import jax
+import numpy as np
+import pytest
+
+from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
+from cicatrix.mechanics.body import COMPILER, deformation_gradients
+from cicatrix.mechanics.elements import Bulk, Membrane, linearised, membrane_energy, membrane_force, tangent, tied_force
+from cicatrix.mechanics.equilibrium import Equilibrium
+
+SIDE = 10.0
+
+
+@pytest.fixture(scope="module")
+def body(rectangle, body_on):
+    """A square held all around, of nearly incompressible tissue with a skin."""
+    law = NeoHookean(*moduli_from_young(3.0, 0.499))
+    return body_on(rectangle(SIDE, SIDE, 3, 3), law, lambda p: p[0] > -1, density=1.0, skin=5.0, thickness=1.0)
+
+
+@pytest.fixture(scope="module")
+def bent(body):
+    """Reference and some smooth finite deformation of it, all three components, bubbles not zero."""
+    X = body.frame.space.positions
+    rng = np.random.default_rng(5)
+    x = X + 0.02 * rng.standard_normal(X.shape)
+    x[:, 0] += 0.6 * np.sin(X[:, 1] / 4)
+    x[:, 2] += 0.3 * X[:, 1]
+    return X, x
+
+
+def sheared(X, F):
+    x = X @ F.T
+    x[:, 2] -= X[:, 2]
+    return x
+
+
+def test_uniform_stress_leaves_inner_nodes_in_balance(body):
+    """Patch test in three components: x = F X with constant F is in equilibrium, exactly."""
+    F = np.array([[1.2, 0.3, 0.0], [-0.1, 0.85, 0.0], [0.2, -0.4, 1.0]])
+    X = body.frame.space.positions
+    r = body.residual(X, sheared(X, F), np.zeros(3))
+    inner = np.ones(len(X), bool)
+    inner[body.frame.fixed_nodes] = False
+    assert np.abs(r[inner]).max() < 1e-12 * np.abs(r[~inner]).max()
+
+
+def test_patch_is_recovered_from_its_border(body):
+    """Patch test: with the border moved by a constant F, Newton finds x = F X inside and the same stress everywhere."""
+    F = np.array([[1.2, 0.3, 0.0], [-0.1, 0.85, 0.0], [0.0, 0.0, 1.0]])
+    X = body.frame.space.positions
+    exact, start = X @ F.T, X @ F.T
+    inner = np.setdiff1d(np.arange(len(X)), body.frame.fixed_nodes)
+    start[inner, :2] += 0.05 * np.random.default_rng(1).standard_normal((inner.size, 2))
+    x, _ = Equilibrium(1e-11).loaded(body, X, np.zeros(3), start)
+    np.testing.assert_allclose(x, exact, rtol=0, atol=1e-10 * SIDE)
+    F_found = deformation_gradients(body.frame.space, X, x)
+    np.testing.assert_allclose(F_found, np.broadcast_to(F, F_found.shape), atol=1e-10)
+
+
+def test_stiffness_equals_its_slow_twin(body, bent):
+    """``linearised`` contracts point tangents; ``tangent`` differentiates the element force (other method)."""
+    X, x = (positions[body.frame.space.element_nodes] for positions in bent)
+    table = body.frame.space.table
+    fraction = np.ones(len(X))
+    fraction[::4] = 0.0, 0.3, 0.6, 0.9, 1.0
+    bulk = Bulk(body.law, body.density, fraction)
+    J = body.dilation(*bent)
+    fast = jax.jit(lambda x: linearised(X, x, J, bulk, table).stiffness, compiler_options=COMPILER)(x)
+    gravity = np.array([0.0, 0.0, 1.0])
+    slow = jax.jit(lambda x: tangent(lambda y: tied_force(X, y, bulk, gravity, table), x), compiler_options=COMPILER)(x)
+    held = fraction > 0
+    np.testing.assert_allclose(np.asarray(fast)[held], np.asarray(slow)[held], rtol=0, atol=1e-10 * np.abs(slow).max())
+    assert (np.asarray(fast)[~held] == 0).all()
+
+
+def test_matrix_is_the_derivative_of_the_residual(body, bent):
+    """Tissue and skin assembled, against fourth-order differences of the residual along random directions."""
+    X, x = bent
+    held_loosely = body.frame.solved(False)[0]
+    matrix, gap_force, _ = body.linearised(X, x, body.dilation(X, x), in_plane=False)
+    assert np.abs(gap_force).max() < 1e-12
+    assert np.abs(matrix - matrix.T).max() < 1e-12 * np.abs(matrix).max()
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        direction = np.zeros(x.size)
+        direction[held_loosely] = rng.standard_normal(held_loosely.size)
+        h, d = 1e-4, direction.reshape(x.shape)
+        values = [body.residual(X, x + k * h * d, np.zeros(3)).ravel()[held_loosely] for k in (-2, -1, 1, 2)]
+        slope = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
+        np.testing.assert_allclose(matrix @ direction[held_loosely], slope, atol=1e-7 * np.abs(slope).max())
+
+
+def test_residual_is_the_derivative_of_the_potential(body, bent):
+    """Internal force and weight together: along a random direction, of all nodes."""
+    X, x = bent
+    gravity = np.array([3.0, -10.0, 2.0])
+    d = np.random.default_rng(2).standard_normal(x.shape)
+    h = 1e-3
+    values = [body.potential(X, x + k * h * d, gravity) for k in (-2, -1, 1, 2)]
+    slope = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
+    assert np.sum(body.residual(X, x, gravity) * d) == pytest.approx(slope, rel=1e-7)
+
+
+# skin ----------------------------------------------------------------------------------------------------------------
+
+MU, THICKNESS, LENGTH = 5.0, 1.5, 4.0
+STRETCH = np.array([1.0, 1.001, 1.1, 1.6, 0.999, 0.6, 0.3, 1.2, 0.7, 1.05])
+SHEAR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.4, 0.9, -0.1])
+
+
+@pytest.fixture(scope="module")
+def edges(body):
+    """Straight skin edges of one direction, each with its stretch and its shear along the normal."""
+    X = np.zeros((len(STRETCH), 3, 3))
+    X[:, 1, 0], X[:, 2, 0] = LENGTH, LENGTH / 2
+    turned = np.array([[0.6, -0.8, 0.0], [0.8, 0.6, 0.0], [0.0, 0.0, 1.0]])
+    x = X * STRETCH[:, None, None]
+    x[..., 2] += SHEAR[:, None] * X[..., 0]
+    membrane = Membrane(NeoHookean(MU, 30.0), np.full(len(STRETCH), THICKNESS))
+    return X, x @ turned.T, membrane, body.frame.space.edge_table
+
+
+def test_skin_energy_in_closed_form(edges):
+    """Taut, incompressible, width held: mu/2 (lam^2 + lam^-2 + s^2 - 2) t L. Slack: 0. Wrinkled across the pull, with
+    the largest principal stretch l: uniaxial, mu/2 (l^2 + 2/l - 3) t L. By hand.
+    """
+    X, x, membrane, table = edges
+    W = np.asarray(membrane_energy(X, x, membrane, table)) / (THICKNESS * LENGTH)
+    taut = MU / 2 * (STRETCH**2 + STRETCH**-2.0 + SHEAR**2 - 2)
+    trace = STRETCH**2 + SHEAR**2 + 1
+    largest = np.sqrt((trace + np.sqrt(trace**2 - 4 * STRETCH**2)) / 2)
+    wrinkled = MU / 2 * (largest**2 + 2 / largest - 3)
+    expected = np.where(largest <= STRETCH**2, taut, wrinkled)
+    np.testing.assert_allclose(W, expected, rtol=1e-9, atol=1e-11)
+    assert (W[[0, 4, 5, 6]] < 1e-11).all()
+
+
+def forces_of(X, membrane, table):
+    return jax.jit(lambda y: membrane_force(X, y, membrane, table), compiler_options=COMPILER)
+
+
+def test_skin_force_and_tangent_are_derivatives(edges):
+    """Against fourth-order differences, away from the switch between taut and slack."""
+    X, x, membrane, table = edges
+    d = np.random.default_rng(4).standard_normal(x.shape)
+    h = 1e-4
+    force = forces_of(X, membrane, table)
+    energy = jax.jit(lambda y: membrane_energy(X, y, membrane, table), compiler_options=COMPILER)
+    clear = np.array([1, 2, 3, 5, 6, 7, 8])
+
+    def slope(f):
+        a, b, c, e = (np.asarray(f(x + k * h * d)) for k in (-2, -1, 1, 2))
+        return ((a - 8 * b + 8 * c - e) / (12 * h))[clear]
+
+    f = np.asarray(force(x))
+    np.testing.assert_allclose(np.sum(f * d, axis=(1, 2))[clear], slope(energy), rtol=1e-6, atol=1e-7)
+    K = np.asarray(
+        jax.jit(lambda y: tangent(lambda z: membrane_force(X, z, membrane, table), y), compiler_options=COMPILER)(x)
+    )
+    along = np.einsum("nij,nj->ni", K, d.reshape(len(d), -1))[clear].reshape(-1, 3, 3)
+    np.testing.assert_allclose(along, slope(force), rtol=0, atol=1e-6 * np.abs(along).max())
+
+
+def test_slack_skin_pulls_nowhere(edges):
+    X, x, membrane, table = edges
+    force = np.asarray(forces_of(X, membrane, table)(x))
+    assert np.abs(force[[5, 6]]).max() < 1e-5  # the relaxed energy is rounded off by 1e-6 at its corner
+
+
+# gravity along the normal --------------------------------------------------------------------------------------------
+
+
+def test_antiplane_slab(rectangle, body_on):
+    """A slab held at y = 0 and pulled along the normal: w = density g (L y - y^2/2) / mu (exact).
+
+    A neo-Hookean solid is linear in shear; the normal stresses are taken up by a pressure mu shear^2 / 3, so the motion
+    in the plane is of the order L mu shear^2 / kappa: 1e-4 of w here.
+    """
+    mu, kappa = moduli_from_young(3.0, 0.49999)
+    slab = body_on(rectangle(SIDE, SIDE, 3, 3), NeoHookean(mu, kappa), lambda p: p[1] < 1e-9, density=1e-6)
+    g = 0.5 * mu / (1e-6 * SIDE)  # shear 0.5 at the clamped side
+    X = slab.frame.space.positions
+    x, report = Equilibrium().loaded(slab, X, np.array([0.0, 0.0, g]))
+    y = X[: slab.frame.space.mesh.nvertices, 1]
+    w = 1e-6 * g * (SIDE * y - y**2 / 2) / mu
+    moved = x[: len(y)] - X[: len(y)]
+    np.testing.assert_allclose(moved[:, 2], w, atol=1e-5 * w.max())
+    assert np.abs(moved[:, :2]).max() < 1e-4 * w.max()
+    assert report.load_steps == 1

@@ -1,0 +1,202 @@
+"""Equilibrium under gravity: there and back, limits, what happens where plain Newton fails, elements that are out."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from cicatrix.core.errors import ConvergenceError
+from cicatrix.core.newton import NewtonReport, newton
+from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
+from cicatrix.mechanics.equilibrium import Equilibrium, _Problem
+
+WIDTH, HEIGHT = 30.0, 20.0
+DENSITY = 1e-6  # kg/mm^3
+G = 9806.65  # mm/s^2
+MU, KAPPA = moduli_from_young(1.0, 0.49)
+PRONE, SIDEWAYS = np.array([0.0, G, 0.0]), np.array([G, 0.0, 0.0])
+
+
+@pytest.fixture(scope="module")
+def mesh(rectangle):
+    return rectangle(WIDTH, HEIGHT, 4, 3)
+
+
+@pytest.fixture(scope="module")
+def block(mesh, body_on):
+    """Soft tissue held at y = 0, with skin: density g L / mu = 0.6."""
+    return body_on(mesh, NeoHookean(MU, KAPPA), lambda p: p[1] < 1e-9, density=DENSITY, skin=5.0, thickness=1.0)
+
+
+@pytest.fixture(scope="module")
+def loaded(block):
+    return Equilibrium().loaded(block, block.frame.space.positions, PRONE)
+
+
+@pytest.mark.parametrize(("gravity", "softness"), [(PRONE, 1.0), (SIDEWAYS, 1.0), (PRONE, 4.0)])
+def test_unloaded_then_loaded_is_the_image(block, gravity, softness):
+    """The imaged shape comes back to 1e-8 mm (issue: within 0.05 voxel), also at density g L / mu = 2.3, hanging."""
+    image = block.frame.space.positions
+    solver = Equilibrium(1e-10)
+    X, _ = solver.unloaded(block, image, softness * gravity)
+    assert np.abs(X - image).max() > 0.3
+    back, _ = solver.loaded(block, X, softness * gravity)
+    np.testing.assert_allclose(back, image, rtol=0, atol=1e-8)
+
+
+def test_newton_is_quadratic(block):
+    """Once close, each residual is at most a constant times the square of the one before (theory)."""
+    X = block.frame.space.positions
+    solver, norms = Equilibrium(), []
+    problem = _Problem(block, X, X, PRONE, PRONE)
+
+    def residual(values):
+        r = problem.free_part(block.residual(X, problem.positions(values), PRONE))
+        norms.append(np.linalg.norm(r) / problem.weight)
+        return r
+
+    def step(values, r):
+        x = problem.positions(values)
+        matrix, _, _ = block.linearised(X, x, block.dilation(X, x), in_plane=True)
+        return solver._solve_linear("x", problem, matrix, -r)
+
+    x, _ = Equilibrium(1e-4).loaded(block, X, PRONE)
+    x = x + 1e-2 * np.sin(X)
+    x[block.frame.fixed_nodes] = X[block.frame.fixed_nodes]
+    start = x.reshape(-1)[problem.free]
+    newton(residual, step, start, tolerance=1e-11 * problem.weight, report=NewtonReport(), max_iterations=20)
+    small = [n for n in norms if n < 1e-2]
+    pairs = [(a, b) for a, b in pairwise(small) if b > 1e-11]
+    assert pairs
+    assert all(b < 100 * a**2 + 1e-11 for a, b in pairs), norms
+
+
+def test_downhill_finds_the_same_shape(block, loaded):
+    """Damped minimisation of the potential and Newton agree where both work (other method)."""
+    X = block.frame.space.positions
+    report = NewtonReport()
+    x = Equilibrium(1e-9)._minimise(_Problem(block, X, X, PRONE, PRONE), report)
+    np.testing.assert_allclose(x, loaded[0], rtol=0, atol=1e-6)
+    assert block.potential(X, x, PRONE) < block.potential(X, X, PRONE)
+
+
+def test_both_linear_solvers_agree(block, loaded, monkeypatch):
+    monkeypatch.setenv("CICATRIX_LINEAR_SOLVER", "scipy")
+    X = block.frame.space.positions
+    solver = Equilibrium()
+    x, _ = solver.loaded(block, X, PRONE)
+    assert {type(s).__name__ for s in solver._linear.values()} == {"SuperLU"}
+    assert solver.factorizations > 0
+    np.testing.assert_allclose(x, loaded[0], rtol=0, atol=1e-9)
+
+
+def test_weak_gravity_is_linear(block):
+    """Half the gravity, half the displacement; what is left is of second order."""
+    X = block.frame.space.positions
+    solver = Equilibrium()
+    u1, u2, u4 = (solver.loaded(block, X, s * SIDEWAYS)[0] - X for s in (0.01, 0.02, 0.04))
+    gap2, gap4 = np.abs(u2 - 2 * u1).max(), np.abs(u4 - 2 * u2).max()
+    assert gap2 < 0.02 * np.abs(u2).max()
+    assert gap4 < 6 * gap2 + 1e-7
+
+
+def test_nothing_moves_without_gravity(block):
+    X = block.frame.space.positions
+    x, report = Equilibrium().loaded(block, X, np.zeros(3))
+    assert (x == X).all()
+    assert report.iterations == 0
+
+
+def test_weight_is_carried_by_the_wall(block, loaded):
+    """Forces on the held nodes sum to the weight, density g area (balance of forces, by hand)."""
+    X = block.frame.space.positions
+    x, _ = loaded
+    inside = block.residual(X, x, PRONE)[block.frame.fixed_nodes].sum(axis=0)
+    np.testing.assert_allclose(inside, -DENSITY * PRONE * WIDTH * HEIGHT, atol=1e-6 * DENSITY * G * WIDTH * HEIGHT)
+
+
+def test_a_nearby_start_gives_the_same(block, loaded):
+    X = block.frame.space.positions
+    near = loaded[0] + 0.01 * np.sin(X)
+    near[block.frame.fixed_nodes] = X[block.frame.fixed_nodes]
+    near[:, 2] = 0.0
+    x, report = Equilibrium().loaded(block, X, PRONE, near)
+    np.testing.assert_allclose(x, loaded[0], rtol=0, atol=1e-6)
+    assert report.iterations <= 6
+
+
+def test_hopeless_load_is_reported(block):
+    """A thousand times the gravity, downward onto the wall: an error that tells what was tried, not a wrong shape."""
+    with pytest.raises(ConvergenceError) as error:
+        Equilibrium().loaded(block, block.frame.space.positions, -1e6 * PRONE)
+    assert len(error.value.history) >= 3
+    assert any("load factor 0 -> 1" in line for line in error.value.history)
+    assert any("downhill" in line for line in error.value.history)
+    assert "residual norms [mN]" in error.value.history[0]
+
+
+# elements that are out -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def holed(mesh, body_on):
+    """The block with a hole of open elements, of the same arrays."""
+    centre = mesh.p[:, mesh.t].mean(axis=1)
+    is_open = np.abs(centre[0] - WIDTH / 2) < WIDTH / 5
+    is_open &= np.abs(centre[1] - HEIGHT / 2) < HEIGHT / 5
+    assert 0 < is_open.sum() < 12
+    law = NeoHookean(MU, KAPPA)
+    fraction = np.where(is_open, 0.0, 1.0)
+    return body_on(mesh, law, lambda p: p[1] < 1e-9, density=DENSITY, fraction=fraction, skin=5.0, thickness=1.0)
+
+
+def test_an_open_element_is_as_good_as_none(mesh, body_on, holed):
+    """Against the mesh without these elements; skin only where the whole block has it (other mesh, same method)."""
+    kept = np.flatnonzero(holed.fraction > 0)
+    without = mesh.restrict(kept)
+    law = NeoHookean(MU, KAPPA)
+    cut = body_on(without, law, lambda p: p[1] < 1e-9, density=DENSITY, skin=5.0, thickness=1.0)
+    middle = without.p[:, without.facets[:, cut.frame.skin_facets]].mean(axis=1)
+    inner = (middle[0] > 1e-9) & (middle[0] < WIDTH - 1e-9) & (middle[1] > 1e-9) & (middle[1] < HEIGHT - 1e-9)
+    cut.skin_thickness[inner] = 0.0
+    solver = Equilibrium(1e-10)
+    x, _ = solver.loaded(holed, holed.frame.space.positions, PRONE)
+    y, _ = Equilibrium(1e-10).loaded(cut, cut.frame.space.positions, PRONE)
+    element = holed.frame.space.element_nodes[kept][:, :3], cut.frame.space.element_nodes[:, :3]
+    np.testing.assert_allclose(
+        np.sort(x[element[0]].mean(axis=1), axis=0), np.sort(y[element[1]].mean(axis=1), axis=0), rtol=0, atol=1e-9
+    )
+
+
+def test_nan_in_the_hole_stays_there(holed):
+    """Nodes that no tissue holds may be anywhere, even nowhere: forces and energies of the tissue do not change."""
+    X = holed.frame.space.positions
+    x, _ = Equilibrium().loaded(holed, X, PRONE)
+    lost = np.where(holed.active_nodes[:, None], x, np.nan)
+    assert np.isnan(lost).any()
+    r = holed.residual(X, lost, PRONE)
+    np.testing.assert_allclose(r, holed.residual(X, x, PRONE), rtol=0, atol=1e-12)
+    assert (holed.energy_density(X, lost)[holed.fraction == 0] == 0).all()
+    assert holed.strain_energy(X, lost) == pytest.approx(holed.strain_energy(X, x), rel=1e-12)
+
+
+# a column that buckles -----------------------------------------------------------------------------------------------
+
+
+def test_a_column_falls_to_a_stable_shape(rectangle, body_on):
+    """Three times the weight at which a column falls over by itself (q L^3 = 7.84 E I, Greenhill 1881), and some wind:
+    Newton fails on the way, the way down in potential energy does not.
+    """
+    width, height, E = 4.0, 40.0, 10.0
+    column = body_on(rectangle(width, height, 1, 12), NeoHookean(*moduli_from_young(E, 0.45)), lambda p: p[1] < 1e-9)
+    stiffness = E / (1 - 0.45**2) * width**3 / 12
+    g = 3 * 7.84 * stiffness / (DENSITY * width * height**3)
+    X = column.frame.space.positions
+    gravity = np.array([0.1 * g, -g, 0.0])
+    x, report = Equilibrium().loaded(column, X, gravity)
+    matrix, _, _ = column.linearised(X, x, column.dilation(X, x), in_plane=True)
+    assert np.linalg.eigvalsh(matrix.toarray())[0] > 0  # stable
+    assert np.abs(x - X)[:, 0].max() > 0.5 * height
+    assert column.potential(X, x, gravity) < column.potential(X, X, gravity) - 1.0
+    assert any("no convergence" in line or "no descent" in line for line in report.history)
+    assert report.history[-1].startswith("downhill")
