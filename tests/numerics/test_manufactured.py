@@ -59,7 +59,7 @@ def solve(body, law):
         norms.append(np.linalg.norm(r))
         if norms[-1] < 1e-10 * np.linalg.norm(load):
             return x
-        matrix, _, _ = body.linearised(X, x, body.dilation(X, x), in_plane=True)
+        matrix, _ = body.linearised(X, x, body.dilation(X, x), in_plane=True)
         x.reshape(-1)[free] -= scipy.sparse.linalg.spsolve(matrix.tocsc(), r)
     raise AssertionError(f"no convergence: {norms}")
 

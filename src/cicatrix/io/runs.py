@@ -89,6 +89,51 @@ def simulate(
     return read_results(out)
 
 
+def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[Anatomy, tuple[str, ...]]:
+    """Read the case's image and segment it, or take the labels as given; also what there is to note about it.
+
+    Raises
+    ------
+    InputError
+        If the image cannot be read or shows no breast.
+    """
+    image, progress = case.image, progress or Progress()
+    picture, tumour = None, None
+    with progress.stage("image"):
+        if image.phantom is not None:
+            picture, truth = phantom(
+                spacing_mm=image.voxel_mm, seed=case.run.seed, weighting=image.weighting, side=image.side
+            )
+            tumour = truth.position(np.argwhere(truth.values == Label.TUMOUR).mean(axis=0))
+        elif image.path is not None:
+            picture = read_image(image.path)
+    with progress.stage("segment"):
+        if image.labels is not None:
+            found = from_labels(read_labels(image.labels))
+        else:
+            centre = case.resection.centre_mm if tumour is None else tuple(tumour.tolist())
+            found = _segment(case, picture, centre, progress)
+    return Anatomy(picture, found.labels, found.probabilities, tumour), found.notes
+
+
+def _segment(
+    case: LumpectomyCase, picture: Volume | None, centre: tuple[float, ...] | None, progress: Progress
+) -> Segmentation:
+    if picture is None:
+        raise InputError("image.path is missing: name an image, a label map by image.labels, or a phantom.")
+    image = case.image
+    wall = image.chest_wall.model_dump(exclude_none=True) if image.chest_wall is not None else None
+    return segment(
+        picture,
+        weighting=image.weighting,
+        side=image.side,
+        position=image.position,
+        chest_wall=wall,
+        resection_centre_mm=centre,
+        report=lambda stage, fraction: progress.update(fraction, stage),
+    )
+
+
 @dataclass
 class _Lumpectomy:
     """The stages of one run, in order; everything a checkpoint must hold is in ``shapes``, ``fronts``, ``rows``, the state."""
@@ -115,7 +160,10 @@ class _Lumpectomy:
         return closing_sentence(cycle, state)
 
     def _begin(self) -> tuple[Plan, HealingCycle, TissueState]:
-        anatomy = self._anatomy()
+        anatomy, notes = anatomy_of(self.case, self.progress)
+        self.folder.save_labels(anatomy.labels)
+        for note in notes:
+            self.folder.note(note)
         with self.progress.stage("mesh"):
             planned = plan(self.case, anatomy)
             self.folder.save_figure("section", figures.section_figure(planned, anatomy))
@@ -135,42 +183,6 @@ class _Lumpectomy:
             self.shapes[self._home, FRESH] = state.x
             self._record(planned, cycle, state)
         return planned, cycle, state
-
-    def _anatomy(self) -> Anatomy:
-        """Read the image and segment it, or take the labels as given."""
-        image = self.case.image
-        picture, known, tumour = None, None, None
-        with self.progress.stage("image"):
-            if image.phantom is not None:
-                options = {"spacing_mm": image.voxel_mm, "seed": self.case.run.seed}
-                picture, truth = phantom(weighting=image.weighting, side=image.side, **options)
-                tumour = truth.position(np.argwhere(truth.values == Label.TUMOUR).mean(axis=0))
-            elif image.path is not None:
-                picture = read_image(image.path)
-            if image.labels is not None:
-                known = read_labels(image.labels)
-        with self.progress.stage("segment"):
-            found = self._segment(picture, tumour) if known is None else from_labels(known)
-            for note in found.notes:
-                self.folder.note(note)
-            self.folder.save_labels(found.labels)
-        return Anatomy(picture, found.labels, found.probabilities, tumour)
-
-    def _segment(self, picture: Volume | None, tumour: np.ndarray | None) -> Segmentation:
-        if picture is None:
-            raise InputError("image.path is missing: name an image, a label map by image.labels, or a phantom.")
-        image = self.case.image
-        centre = self.case.resection.centre_mm if tumour is None else tuple(tumour.tolist())
-        wall = image.chest_wall.model_dump(exclude_none=True) if image.chest_wall is not None else None
-        return segment(
-            picture,
-            weighting=image.weighting,
-            side=image.side,
-            position=image.position,
-            chest_wall=wall,
-            resection_centre_mm=centre,
-            report=lambda stage, fraction: self.progress.update(fraction, stage),
-        )
 
     @property
     def _home(self) -> str:

@@ -1,0 +1,159 @@
+"""Wound closure without and with mechanical feedback (Garbey et al., Fig. 5): prints claim | measured | holds."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from cicatrix.coupling.cycle import HealingCycle, run
+from cicatrix.io import figures
+from cicatrix.io.cases import load_case
+from cicatrix.io.runs import anatomy_of
+from cicatrix.outcome import closure
+from cicatrix.study.lumpectomy import last_cycle
+from cicatrix.study.prepare import prepare, reseeded
+from cicatrix.study.summary import history_row
+
+HERE = Path(__file__).parent
+SEEDS = range(1, 6)
+
+
+def heal(cycle: HealingCycle, last: int) -> tuple[list[dict], list[np.ndarray]]:
+    """History rows and open sites of a whole run."""
+    state = cycle.start()
+    rows, fronts = [history_row(cycle, state)], [cycle.open_sites(state.healing)]
+    for state in run(cycle, state, last):
+        rows.append(history_row(cycle, state))
+        fronts.append(cycle.open_sites(state.healing))
+    return rows, fronts
+
+
+def at_half(rows: list[dict], name: str) -> float:
+    """A column at half closure, linear between cycles."""
+    return float(np.interp(0.5, [r["closed_fraction"] for r in rows], [r[name] for r in rows]))
+
+
+def closed_alone(cycle: HealingCycle) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
+    """Automaton without feedback, step by step: days, equivalent radius [mm], open sites."""
+    automaton, state = cycle.automaton, cycle.automaton.initial_state()
+    fronts = [cycle.open_sites(state)]
+    while fronts[-1].any():
+        state = automaton.advance(state)
+        fronts.append(cycle.open_sites(state))
+    area = np.array([closure.open_area(automaton.lattice, f) for f in fronts])
+    return np.arange(len(fronts)) * cycle.days_per_step, np.sqrt(area / np.pi), fronts
+
+
+def speeds(days: np.ndarray, radius: np.ndarray) -> tuple[float, float]:
+    """Front speed while the radius is above 3/4 and below 2/5 of the first [mm/day]."""
+    early, late = radius > 0.75 * radius[0], (radius < 0.4 * radius[0]) & (radius > 0.1 * radius[0])
+    return tuple(float(-np.polyfit(days[part], radius[part], 1)[0]) for part in (early, late))
+
+
+def relative_roundness(cycle: HealingCycle, fronts: list[np.ndarray]) -> float:
+    """Roundness at half closure over that of the fresh wound."""
+    n0 = fronts[0].sum()
+    half = next(f for f in fronts if f.sum() <= 0.5 * n0)
+    lattice = cycle.automaton.lattice
+    return closure.roundness(lattice, half) / closure.roundness(lattice, fronts[0])
+
+
+def measure(seeds: range = SEEDS) -> tuple[dict[str, np.ndarray], tuple]:
+    """All numbers, one per seed, and what the picture needs."""
+    case = load_case(HERE / "case.toml")
+    anatomy, _ = anatomy_of(case)
+    planned, cycle = prepare(case, anatomy)
+    names = "round early late days_one days_two asym_one asym_two drift_one drift_two"
+    out: dict[str, list[float]] = {name: [] for name in names.split()}
+    for seed in seeds:
+        one = reseeded(cycle, seed, 0.0)
+        days, radius, fronts = closed_alone(one)
+        centre = closure.wound_centre(fronts[0])
+        half = next(f for f in fronts if f.sum() <= 0.5 * fronts[0].sum())
+        two_rows, two_fronts = heal(reseeded(cycle, seed), last_cycle(case))
+        early, late = speeds(days, radius)
+        shift = np.linalg.norm(closure.centroid_shift(one.automaton.lattice, half, fronts[0]))
+        values = (relative_roundness(one, fronts), early, late, days[-1], two_rows[-1]["time_days"])
+        values += (closure.asymmetry(half, centre), at_half(two_rows, "wound_asymmetry"))
+        values += (shift, at_half(two_rows, "wound_drift_mm"))
+        for name, value in zip(out, values, strict=True):
+            out[name].append(float(value))
+    steps = max(1, round(case.coupling.days_per_cycle / cycle.days_per_step))
+    return {n: np.array(v) for n, v in out.items()}, (planned, cycle, fronts[::steps], two_rows, two_fronts)
+
+
+def table(m: dict[str, np.ndarray]) -> list[tuple[str, str, bool]]:
+    """Claim, measured, holds."""
+
+    def show(name: str) -> str:
+        return f"{m[name].mean():.3f} +- {m[name].std(ddof=1) if m[name].size > 1 else 0:.3f}"
+
+    return [
+        (
+            "without feedback the wound stays roughly circular (roundness at half closure within 10 % of the fresh wound's)",
+            show("round"),
+            bool((np.abs(m["round"] - 1) < 0.1).all()),
+        ),
+        (
+            "without feedback closure speeds up as the curvature grows (late over early front speed above 1)",
+            f"{show('late')} over {show('early')} mm/day",
+            bool((m["late"] > m["early"]).all()),
+        ),
+        (
+            "with feedback under gravity the symmetry is lost (asymmetry at half closure, every seed above all without)",
+            f"{show('asym_two')} with, {show('asym_one')} without",
+            bool(m["asym_two"].min() > m["asym_one"].max()),
+        ),
+        (
+            "with feedback the wound's centre drifts (at half closure, every seed above all without)",
+            f"{show('drift_two')} mm with, {show('drift_one')} mm without",
+            bool(m["drift_two"].min() > m["drift_one"].max()),
+        ),
+        (
+            "a feedback of mean one closes faster than none",
+            f"{show('days_two')} days with, {show('days_one')} without",
+            bool(m["days_two"].max() < m["days_one"].min()),
+        ),
+    ]
+
+
+def draw(planned, cycle, one_fronts, two_rows, two_fronts) -> None:
+    """Outlines at the end of each cycle, without and with feedback."""
+    lattice = cycle.automaton.lattice
+    for name, fronts, title in (("left", one_fronts, "fixed rate"), ("right", two_fronts, "rate depends on energy")):
+        rows = two_rows if name == "right" else None
+        figure = figures.closure_figure(planned, lattice, fronts, rows or _rows(cycle, fronts), title)
+        figure.savefig(HERE / f"fig5-{name}.png", dpi=110)
+
+
+def _rows(cycle: HealingCycle, fronts: list[np.ndarray]) -> list[dict]:
+    lattice, n0, centre = cycle.automaton.lattice, fronts[0].sum(), closure.wound_centre(fronts[0])
+    return [
+        {
+            "time_days": i * cycle.days_per_cycle,
+            "closed_fraction": 1 - f.sum() / n0,
+            "open_area_mm2": closure.open_area(lattice, f),
+            "wound_asymmetry": closure.asymmetry(f, centre),
+        }
+        for i, f in enumerate(fronts)
+    ]
+
+
+def main() -> int:
+    """Print the table, draw the figure; 0 if every row is as expected.csv says."""
+    measured, picture = measure()
+    draw(*picture)
+    with (HERE / "expected.csv").open() as file:
+        expected = {row["claim"]: row["holds"] == "yes" for row in csv.DictReader(file)}
+    rows = table(measured)
+    print("claim | measured | holds")
+    for claim, value, holds in rows:
+        print(f"{claim} | {value} | {'yes' if holds else 'no'}")
+    return int(any(expected.get(claim) != holds for claim, _, holds in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
