@@ -33,9 +33,9 @@ def loaded(block):
     return Equilibrium().loaded(block, block.frame.space.positions, PRONE)
 
 
-@pytest.mark.parametrize(("gravity", "softness"), [(PRONE, 1.0), (SIDEWAYS, 1.0), (PRONE, 4.0)])
+@pytest.mark.parametrize(("gravity", "softness"), [(PRONE, 1.0), (SIDEWAYS, 1.0), (PRONE, 3.0)])
 def test_unloaded_then_loaded_is_the_image(block, gravity, softness):
-    """The imaged shape comes back to 1e-8 mm (issue: within 0.05 voxel), also at density g L / mu = 2.3, hanging."""
+    """The imaged shape comes back to 1e-8 mm (issue: within 0.05 voxel), also at density g L / mu = 1.7, hanging."""
     image = block.frame.space.positions
     solver = Equilibrium(1e-10)
     X, _ = solver.unloaded(block, image, softness * gravity)

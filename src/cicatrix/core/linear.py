@@ -10,16 +10,25 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
+# the same bits in every run: MKL may order its sums by threads and by where memory happens to lie, unless told not to
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+os.environ.setdefault("MKL_CBWR", "COMPATIBLE")
+
 try:
     import pypardiso
 except (ImportError, OSError):  # no wheel for this machine: SciPy serves
     pypardiso = None
 
 
+NEGATIVE_EIGENVALUES = 23  # number of the entry of PARDISO's iparm
+
+
 class LinearSolver(Protocol):
     """Factor a matrix of a fixed pattern again and again, and solve with the last factor."""
 
     n_factorizations: int
+    n_negative: int | None
+    """Negative eigenvalues of the last symmetric matrix; None where the solver cannot tell."""
 
     def factor(self, matrix: sp.csr_array) -> None:
         """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
@@ -32,6 +41,8 @@ class LinearSolver(Protocol):
 
 class SuperLU:
     """SciPy's SuperLU: slower, everywhere."""
+
+    n_negative = None
 
     def __init__(self) -> None:
         self.n_factorizations = 0
@@ -61,6 +72,7 @@ class Pardiso:
 
     def __init__(self, symmetric: bool) -> None:
         self.n_factorizations = 0
+        self.n_negative: int | None = None
         self._symmetric = symmetric
         self._solver = pypardiso.PyPardisoSolver(mtype=-2 if symmetric else 11)
         self._upper: tuple | None = None
@@ -78,6 +90,8 @@ class Pardiso:
             self._solver._call_pardiso(self._matrix, np.zeros((matrix.shape[0], 1)))
         except pypardiso.pardiso_wrapper.PyPardisoError as error:
             raise FloatingPointError(str(error)) from error
+        if self._symmetric:
+            self.n_negative = int(self._solver.get_iparm(NEGATIVE_EIGENVALUES))
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Solve with the last factor: (n,) -> (n,)."""

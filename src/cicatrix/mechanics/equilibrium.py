@@ -145,6 +145,8 @@ class Equilibrium:
         J_start = np.clip(body.dilation(problem.X, problem.x), 1.0 - START_VOLUME, 1.0 + START_VOLUME)
         z = np.concatenate([problem.x.reshape(-1)[problem.free], J_start.ravel()])
         z = newton(residual, step, z, tolerance=self.relative_tolerance * problem.weight, report=report)
+        if kept.value is not None and kept.value[0].n_negative:
+            raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
         return problem.positions(z[:n])
 
     def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
@@ -201,15 +203,15 @@ class _Kept:
     """A linearisation that is used again as long as it brings the residual down fast enough."""
 
     def __init__(self, linearise: Callable[[np.ndarray], Any]) -> None:
-        self._linearise, self._value, self._norm = linearise, None, np.inf
+        self._linearise, self.value, self._norm = linearise, None, np.inf
 
     def at(self, z: np.ndarray, r: np.ndarray) -> Any:
         """The linearisation to use at z, where the residual is r."""
         norm = float(np.linalg.norm(r))
-        if self._value is None or not norm < REUSE_BELOW * self._norm:
-            self._value = self._linearise(z)
+        if self.value is None or not norm < REUSE_BELOW * self._norm:
+            self.value = self._linearise(z)
         self._norm = norm
-        return self._value
+        return self.value
 
 
 @dataclass(frozen=True, eq=False)
