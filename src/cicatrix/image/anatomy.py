@@ -65,74 +65,77 @@ class Anatomy:
     tumour_radius_mm: float
 
     def height(self, p: np.ndarray) -> np.ndarray:
-        """Distance in front of the chest wall along y: points (..., 3) [mm] -> (...) [mm]."""
+        """Distance in front of the chest wall along y: points (3, n) [mm] -> (n,) [mm]."""
         across, along = WALL_RADIUS_MM
-        x = p[..., 0] - self.medial * MIDLINE_MM
-        wall = (x**2 - MIDLINE_MM**2) / (2 * across) + p[..., 2] ** 2 / (2 * along)
-        return wall - p[..., 1]
+        x = p[0] - self.medial * MIDLINE_MM
+        return (x * x - MIDLINE_MM**2) * (0.5 / across) + p[2] * p[2] * (0.5 / along) - p[1]
 
-    def outside(self, p: np.ndarray, a: np.ndarray) -> np.ndarray:
-        """Signed distance to the outer surface, negative inside: points (..., 3), heights (...) [mm] -> (...) [mm]."""
-        q = np.stack([p[..., 0], a, p[..., 2]], axis=-1)
+    def outside(self, q: np.ndarray) -> np.ndarray:
+        """Signed distance to the outer surface, negative inside: (3, n) x, height, z [mm] -> (n,) [mm]."""
         breast = _ellipsoid(q, self.half_axes_mm)
-        nipple = np.linalg.norm(q - [0, self.half_axes_mm[1], 0], axis=-1) - NIPPLE_MM
-        torso = 0.95 * (a - SUBCUTANEOUS_MM)
-        return _smooth_union(_smooth_union(breast, nipple, 2.0), torso, FILLET_MM)
+        torso = 0.95 * (q[1] - SUBCUTANEOUS_MM)
+        return _smooth_union(_smooth_union(breast, self._from_nipple(q) - NIPPLE_MM, 2.0), torso, FILLET_MM)
 
     def lobe_score(self, q: np.ndarray) -> np.ndarray:
-        """How deep inside a lobe: points (..., 3) as x, height, z [mm] -> (...) [mm]; negative in fat layers."""
-        away = q - np.array([0, self.half_axes_mm[1] - 2.0, 0], q.dtype)
-        r = np.linalg.norm(away, axis=-1)
-        cosine = (away @ self.lobe_axes.T.astype(q.dtype)).max(axis=-1) / np.maximum(r, 1e-3)
+        """How deep inside a lobe: (3, n) x, height, z [mm] -> (n,) [mm]; negative in fat layers."""
+        x, y, z = q[0], q[1] - float(self.half_axes_mm[1] - 2.0), q[2]
+        r = np.sqrt(x * x + y * y + z * z)
+        cosine = (self.lobe_axes.astype(q.dtype) @ np.stack([x, y, z])).max(axis=0) / np.maximum(r, 1e-3)
         off_axis = r * np.arccos(np.clip(cosine, -1, 1))
         score = 2.0 + 0.05 * r - off_axis + 2.5 * self.roughness(q)
-        rim = np.minimum(-_ellipsoid(q, 0.86 * self.half_axes_mm), q[..., 1] - 0.14 * self.half_axes_mm[1])
+        rim = np.minimum(-_ellipsoid(q, 0.86 * self.half_axes_mm), q[1] - float(0.14 * self.half_axes_mm[1]))
         return np.minimum(score, rim - 3.0)
 
     def roughness(self, q: np.ndarray) -> np.ndarray:
-        """Smooth random field of unit variance: points (..., 3) [mm] -> (...)."""
-        total = np.zeros(q.shape[:-1], q.dtype)
-        for wave, phase in zip(self.waves, self.phases):
-            total += np.cos(q @ wave.astype(q.dtype) + q.dtype.type(phase))
-        return total * np.sqrt(2 / len(self.phases))
+        """Smooth random field of unit variance: points (3, n) [mm] -> (n,)."""
+        angles = self.waves.astype(q.dtype) @ q + self.phases.astype(q.dtype)[:, None]
+        return np.cos(angles).sum(axis=0) * float(np.sqrt(2 / len(self.phases)))
 
     def parts(self, p: np.ndarray) -> np.ndarray:
-        """Tissue at points: (n, 3) [mm] -> (n,) uint8 of `Part`."""
-        a = self.height(p)
-        out = np.full(len(p), Part.AIR, np.uint8)
-        inside = np.flatnonzero(self.outside(p, a) < 0)
-        q = np.stack([p[inside, 0], a[inside], p[inside, 2]], axis=-1)
-        depth = -self.outside(p[inside], a[inside])
-        out[inside] = np.where(self.is_breast(q), self._breast(q, depth), self._chest(q, depth))
+        """Tissue at points: (3, n) [mm] -> (n,) uint8 of `Part`."""
+        q = np.stack([p[0], self.height(p), p[2]])
+        outside = self.outside(q)
+        out = np.full(q.shape[1], Part.AIR, np.uint8)
+        inside = outside < 0
+        breast = inside & self.is_breast(q)
+        chest = inside & ~breast
+        out[breast] = self._breast(q[:, breast], -outside[breast])
+        out[chest] = self._chest(q[:, chest], -outside[chest])
         return out
 
     def is_breast(self, q: np.ndarray) -> np.ndarray:
-        """In front of the wall and within the foot of the breast: (n, 3) x, height, z -> (n,) bool."""
-        foot = (q[:, 0] / self.half_axes_mm[0]) ** 2 + (q[:, 2] / self.half_axes_mm[2]) ** 2
-        return (q[:, 1] > 0) & (foot < 1)
+        """In front of the wall and within the foot of the breast: (3, n) x, height, z -> (n,) bool."""
+        across, up = (float(1 / h**2) for h in self.half_axes_mm[[0, 2]])
+        return (q[1] > 0) & (q[0] * q[0] * across + q[2] * q[2] * up < 1)
 
     def _breast(self, q: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Fat, gland, skin or tumour at points of the breast."""
-        out = np.where(self.lobe_score(q) > self.gland_level, Part.GLAND, Part.FAT)
-        nipple = np.linalg.norm(q - [0, self.half_axes_mm[1], 0], axis=-1) < NIPPLE_MM + 1
-        out[nipple] = Part.GLAND
+        out = np.where(self.lobe_score(q) > self.gland_level, np.uint8(Part.GLAND), np.uint8(Part.FAT))
+        out[self._from_nipple(q) < NIPPLE_MM + 1] = Part.GLAND
         if self.tumour_radius_mm > 0:
-            r = np.linalg.norm(q - self.tumour_centre_mm, axis=-1)
-            out[r < self.tumour_radius_mm * (1 + 0.12 * self.roughness(1.5 * q))] = Part.TUMOUR
+            r = np.linalg.norm(q - self.tumour_centre_mm.astype(q.dtype)[:, None], axis=0)
+            near = np.flatnonzero(r < 2 * self.tumour_radius_mm)
+            limit = self.tumour_radius_mm * (1 + 0.12 * self.roughness(1.5 * q[:, near]))
+            out[near[r[near] < limit]] = Part.TUMOUR
         out[depth < SKIN_MM] = Part.SKIN
-        return out.astype(np.uint8)
+        return out
 
     def _chest(self, q: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """Skin and fat over the chest, muscle, ribs every 26 mm, lung."""
-        a = q[:, 1]
-        out = np.full(len(q), Part.LUNG, np.uint8)
-        out[a > -MUSCLE_MM - RIB_MM - 4] = Part.MUSCLE
+        a = q[1]
+        out = np.where(a > -MUSCLE_MM - RIB_MM - 4, np.uint8(Part.MUSCLE), np.uint8(Part.LUNG))
         centre = -MUSCLE_MM - RIB_MM / 2
-        rib = ((a - centre) / (RIB_MM / 2)) ** 2 + ((np.mod(q[:, 2], 26.0) - 13.0) / 6.0) ** 2 < 1
-        out[rib] = Part.RIB
+        near = np.flatnonzero(np.abs(a - centre) < RIB_MM / 2)
+        along = (np.mod(q[2, near], 26.0) - 13.0) / 6.0
+        out[near[((a[near] - centre) / (RIB_MM / 2)) ** 2 + along**2 < 1]] = Part.RIB
         out[a > 0] = Part.CHEST_FAT
         out[(a > 0) & (depth < SKIN_MM)] = Part.CHEST_SKIN
         return out
+
+    def _from_nipple(self, q: np.ndarray) -> np.ndarray:
+        """Distance to the nipple's centre: (3, n) x, height, z [mm] -> (n,) [mm]."""
+        y = q[1] - float(self.half_axes_mm[1])
+        return np.sqrt(q[0] * q[0] + y * y + q[2] * q[2])
 
 
 def draw(
@@ -171,16 +174,18 @@ def _lobe_axes(rng: np.random.Generator) -> np.ndarray:
 
 def _level_for(anatomy: Anatomy, fraction: float, rng: np.random.Generator) -> float:
     """Lobe score above which ``fraction`` of the breast inside its skin lies."""
-    q = rng.uniform(-1, 1, size=(60000, 3)) * anatomy.half_axes_mm
-    q[:, 1] = np.abs(q[:, 1])
-    q = q[_ellipsoid(q, anatomy.half_axes_mm) < -SKIN_MM]
+    q = (rng.uniform(-1, 1, size=(60000, 3)) * anatomy.half_axes_mm).T
+    q[1] = np.abs(q[1])
+    q = q[:, _ellipsoid(q, anatomy.half_axes_mm) < -SKIN_MM]
     return float(np.quantile(anatomy.lobe_score(q), 1 - fraction))
 
 
 def _ellipsoid(q: np.ndarray, half_axes: np.ndarray) -> np.ndarray:
-    """First-order signed distance to an ellipsoid about the origin: (..., 3) -> (...)."""
-    k0 = np.linalg.norm(q / half_axes, axis=-1)
-    k1 = np.linalg.norm(q / half_axes**2, axis=-1)
+    """First-order signed distance to an ellipsoid about the origin: (3, n) -> (n,)."""
+    inverse = (1 / half_axes**2).astype(q.dtype)
+    square = q * q
+    k0 = np.sqrt(inverse @ square)
+    k1 = np.sqrt(inverse**2 @ square)
     return k0 * (k0 - 1) / np.maximum(k1, 1e-6)
 
 
