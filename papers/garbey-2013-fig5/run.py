@@ -23,9 +23,9 @@ SEEDS = range(1, 6)
 
 def heal(cycle: HealingCycle, last: int) -> tuple[list[dict], list[np.ndarray]]:
     """History rows and open sites of a whole run."""
-    state = cycle.start()
-    rows, fronts = [history_row(cycle, state)], [cycle.open_sites(state.healing)]
-    for state in run(cycle, state, last):
+    fresh = cycle.start()
+    rows, fronts = [history_row(cycle, fresh)], [cycle.open_sites(fresh.healing)]
+    for state in run(cycle, fresh, last):
         rows.append(history_row(cycle, state))
         fronts.append(cycle.open_sites(state.healing))
     return rows, fronts

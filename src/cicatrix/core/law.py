@@ -12,13 +12,19 @@ import numpy as np
 from .errors import InputError
 
 
-def param(unit: str, symbol: str, *, low: float = -np.inf, high: float = np.inf, default: Any = dataclasses.MISSING) -> Any:
+def param(
+    unit: str, symbol: str, *, low: float = -np.inf, high: float = np.inf, default: Any = dataclasses.MISSING
+) -> Any:
     """Declare a parameter of a law: its unit, symbol and closed range.
 
     The value is a number or an array of one number per point.
     """
     metadata = {"unit": unit, "symbol": symbol, "low": low, "high": high}
-    return eqx.field(metadata=metadata) if default is dataclasses.MISSING else eqx.field(metadata=metadata, default=default)
+    return (
+        eqx.field(metadata=metadata)
+        if default is dataclasses.MISSING
+        else eqx.field(metadata=metadata, default=default)
+    )
 
 
 class Law(eqx.Module):

@@ -112,7 +112,7 @@ def linear_solver(symmetric: bool) -> LinearSolver:
     """Return the best direct solver of this machine; CICATRIX_LINEAR_SOLVER = "scipy" asks for SuperLU."""
     if pypardiso is not None and os.environ.get("CICATRIX_LINEAR_SOLVER") != "scipy":
         return Pardiso(symmetric)
-    return SuperLU()
+    return SuperLU()  # pyright: ignore[reportReturnType]
 
 
 def _check_finite(matrix: sp.csr_array) -> None:

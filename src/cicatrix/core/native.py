@@ -7,6 +7,7 @@ when this module is first imported. Kernel and twin give the same bits, so the c
 from __future__ import annotations
 
 import os
+from importlib import import_module
 from types import ModuleType
 
 from . import philox
@@ -17,10 +18,9 @@ def _compiled() -> ModuleType | None:
     if os.environ.get("CICATRIX_NATIVE", "1") == "0":
         return None
     try:
-        from .. import _native  # pyright: ignore[reportAttributeAccessIssue]
+        return import_module("cicatrix._native")
     except ImportError:
         return None
-    return _native
 
 
 _kernels = _compiled()

@@ -59,7 +59,9 @@ def newton(
     return x
 
 
-def _line_search(residual: Residual, x: np.ndarray, r: np.ndarray, dx: np.ndarray, norms: list[float]) -> tuple[np.ndarray, np.ndarray]:
+def _line_search(
+    residual: Residual, x: np.ndarray, r: np.ndarray, dx: np.ndarray, norms: list[float]
+) -> tuple[np.ndarray, np.ndarray]:
     """Halve the step until the residual is finite and comes down; in the first steps it may grow, but not without limit.
 
     Far from the answer a full Newton step often raises the residual of nearly incompressible tissue (volume first,
@@ -131,7 +133,12 @@ def _downhill(energy, step, x: np.ndarray, r: np.ndarray, E: float, damping: flo
     return (trial, E_trial) if E_trial <= E + 1e-4 * (dx @ r) + 1e-13 * abs(E) else (None, E)
 
 
-def ramp(advance: Callable[[np.ndarray, float], np.ndarray], x: np.ndarray, report: NewtonReport, smallest: float = 1.0 / 512.0) -> np.ndarray:
+def ramp(
+    advance: Callable[[np.ndarray, float], np.ndarray],
+    x: np.ndarray,
+    report: NewtonReport,
+    smallest: float = 1.0 / 512.0,
+) -> np.ndarray:
     """Walk a load factor from 0 to 1 in adaptive steps.
 
     ``advance(x, factor)`` returns the solution at that factor or raises ConvergenceError; a failed step is halved, a

@@ -22,7 +22,11 @@ def _components(F: Array) -> list[Array]:
 def cofactor(F: Array) -> Array:
     """Cofactor J F^-T = d det F / dF: (..., 3, 3) -> (..., 3, 3)."""
     a, b, c, d, e, f, g, h, i = _components(F)
-    rows = (e * i - f * h, f * g - d * i, d * h - e * g), (c * h - b * i, a * i - c * g, b * g - a * h), (b * f - c * e, c * d - a * f, a * e - b * d)
+    rows = (
+        (e * i - f * h, f * g - d * i, d * h - e * g),
+        (c * h - b * i, a * i - c * g, b * g - a * h),
+        (b * f - c * e, c * d - a * f, a * e - b * d),
+    )
     return jnp.stack([entry for row in rows for entry in row], axis=-1).reshape(F.shape)
 
 
@@ -39,7 +43,7 @@ def inv(F: Array) -> Array:
 
 def product(A: Array, B: Array) -> Array:
     """Matrix product A B: (..., 3, 3), (..., 3, 3) -> (..., 3, 3); fuses with its neighbours, which a batched dot does not."""
-    return sum(A[..., :, k, None] * B[..., None, k, :] for k in range(3))
+    return sum(A[..., :, k, None] * B[..., None, k, :] for k in range(3))  # pyright: ignore[reportReturnType]
 
 
 def first_invariant(F: Array) -> Array:

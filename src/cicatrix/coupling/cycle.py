@@ -192,7 +192,9 @@ class HealingCycle:
         """
         fraction = np.where(self._held(state.filled >= LEAST_FILLED), state.filled, 0.0)
         is_new = self.cavity[:, None]
-        elastic = NeoHookean(np.where(is_new, self.scar.mu, self.tissue.mu), np.where(is_new, self.scar.kappa, self.tissue.kappa))
+        elastic = NeoHookean(
+            np.where(is_new, self.scar.mu, self.tissue.mu), np.where(is_new, self.scar.kappa, self.tissue.kappa)
+        )
         law = tissue_law(elastic, np.where(is_new, self.contraction, 0.0) * np.ones_like(self.tissue.mu), state.natural)
         return self.intact.with_tissue(law, np.where(is_new, self.scar.density, self.tissue.density), fraction)
 

@@ -38,5 +38,7 @@ class Deposition:
             return old
         g = self.prestretch
         born = np.asarray(inv(jnp.diag(jnp.array([g, g, g**-2])))) @ F
-        share = np.where(filled > filled_before, (filled - filled_before) / np.maximum(filled, 1e-12), 0.0)[:, None, None, None]
+        share = np.where(filled > filled_before, (filled - filled_before) / np.maximum(filled, 1e-12), 0.0)[
+            :, None, None, None
+        ]
         return (1.0 - share) * old + share * born

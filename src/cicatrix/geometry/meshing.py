@@ -16,15 +16,15 @@ INSIDE = 3  # MMG's reference number for the negative side of a level set
 Function = Callable[[np.ndarray], np.ndarray]
 
 
-def signed_distance(mask: np.ndarray, pixel_mm: float, smooth_pixels: float = 1.0) -> np.ndarray:
+def signed_distance(mask: np.ndarray, pixel_mm: float, smooth_pixels: float = 2.0) -> np.ndarray:
     """Signed distance to the border of a mask, negative inside: (ny, nx) bool -> (ny, nx) [mm]."""
     outside, inside = distance_transform_edt(~mask), distance_transform_edt(mask)
-    return pixel_mm * gaussian_filter(np.where(mask, 0.5 - inside, outside - 0.5), smooth_pixels, mode="nearest")
+    return pixel_mm * gaussian_filter(np.where(mask, 0.5 - inside, outside - 0.5), smooth_pixels, mode="nearest")  # pyright: ignore[reportOperatorIssue]
 
 
 def component_at(mask: np.ndarray, row: int, column: int) -> np.ndarray:
     """The connected part of a mask that holds a pixel, or the largest part where the pixel is not in the mask."""
-    parts, n = label(mask)
+    parts, n = label(mask)  # pyright: ignore[reportGeneralTypeIssues]
     if n == 0:
         raise InputError("The section holds no breast: choose another image.slice_mm.")
     inside = 0 <= row < mask.shape[0] and 0 <= column < mask.shape[1] and parts[row, column]
@@ -37,7 +37,9 @@ def interpolant(field: np.ndarray, raster: Raster) -> Function:
     return lambda points: map_coordinates(field, raster.index(points), order=1, mode="nearest")
 
 
-def mesh_section(body: Function, cavity: Function | None, low: np.ndarray, high: np.ndarray, edge_mm: float, cavity_edge_mm: float) -> skfem.MeshTri:
+def mesh_section(
+    body: Function, cavity: Function | None, low: np.ndarray, high: np.ndarray, edge_mm: float, cavity_edge_mm: float
+) -> skfem.MeshTri:
     """Mesh {body < 0}, with the border of {cavity < 0} on element edges.
 
     Parameters
@@ -87,7 +89,9 @@ def label_borders(mesh: skfem.MeshTri, is_wall: Callable[[np.ndarray], np.ndarra
 
 
 def _sizes(distance: np.ndarray, edge_mm: float, cavity_edge_mm: float) -> np.ndarray:
-    return np.clip(cavity_edge_mm + 0.2 * np.maximum(np.abs(distance) - 2.0 * cavity_edge_mm, 0.0), cavity_edge_mm, edge_mm)
+    return np.clip(
+        cavity_edge_mm + 0.2 * np.maximum(np.abs(distance) - 2.0 * cavity_edge_mm, 0.0), cavity_edge_mm, edge_mm
+    )
 
 
 def _cut(mesh: mmgpy.MmgMesh2D, level_set: np.ndarray, **options: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -68,7 +68,7 @@ def _spatial(p: np.ndarray, inside: np.ndarray, spacing_mm: tuple[float, float, 
 def skin_probability(body: np.ndarray, spacing_mm: tuple[float, float, float]) -> np.ndarray:
     """Part of each body voxel within 1.45 mm of the air: (nz, ny, nx) bool -> (nz, ny, nx) float32."""
     size = np.asarray(spacing_mm)[::-1]
-    distance, nearest = ndi.distance_transform_edt(body, sampling=size, return_indices=True)
+    distance, nearest = ndi.distance_transform_edt(body, sampling=size, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
     step = np.abs(np.indices(body.shape) - nearest) * size[:, None, None, None]
     length = np.maximum(distance, 1e-6)
     edge = np.sqrt(
@@ -95,7 +95,7 @@ def bright_mass(image: Volume, inside: np.ndarray, centre_mm: tuple[float, float
     if not near.any():
         return np.zeros_like(inside)
     level = 0.5 * (np.percentile(smooth[inside], 75) + np.percentile(smooth[near], 95))
-    pieces, _ = ndi.label(ndi.binary_opening(inside & (r < 20) & (smooth > level)))
+    pieces, _ = ndi.label(ndi.binary_opening(inside & (r < 20) & (smooth > level)))  # pyright: ignore[reportGeneralTypeIssues]
     found = np.unique(pieces[near])
     found = found[found > 0]
     if not len(found):

@@ -151,7 +151,7 @@ def band_sites(phi: np.ndarray, band: float) -> np.ndarray:
 
 def signed_distance(inside: np.ndarray) -> np.ndarray:
     """Signed distance to a mask's edge, negative inside [voxel]."""
-    return np.where(inside, 0.5 - ndi.distance_transform_edt(inside), ndi.distance_transform_edt(~inside) - 0.5)
+    return np.where(inside, 0.5 - ndi.distance_transform_edt(inside), ndi.distance_transform_edt(~inside) - 0.5)  # pyright: ignore[reportOperatorIssue]
 
 
 def heaviside(x: np.ndarray, width: float) -> np.ndarray:

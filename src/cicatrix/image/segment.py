@@ -139,7 +139,7 @@ def _body(image: Volume) -> np.ndarray:
         raise InputError(
             "image: no breast found, nothing stands out from the background; give a T1-weighted breast MRI."
         )
-    rough = np.stack([ndi.binary_fill_holes(s) for s in rough])
+    rough = np.stack([ndi.binary_fill_holes(s) for s in rough])  # pyright: ignore[reportCallIssue]
     inside, outside = np.median(smooth[rough]), np.median(smooth[~rough]) if not rough.all() else np.inf
     if rough.sum() * np.prod(image.spacing_mm) < 1000 * LEAST_BODY_ML or inside < LEAST_CONTRAST * outside:
         raise InputError(
@@ -161,7 +161,7 @@ def _otsu(v: np.ndarray) -> float:
 
 def _largest(mask: np.ndarray) -> np.ndarray:
     """Largest connected piece."""
-    pieces, n = ndi.label(mask)
+    pieces, n = ndi.label(mask)  # pyright: ignore[reportGeneralTypeIssues]
     return mask if n < 2 else pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
 
 
@@ -258,7 +258,7 @@ def _tissue(
     if inner.sum() < 1000:
         raise InputError("image: no breast found that is thick enough to tell its tissues; use smaller voxels.")
     gland = gland_probability(part, inner, weighting == "t1")
-    gland[ndi.binary_dilation(skin > 0.05)] = 0  # the voxels that share the skin are no gland
+    gland[ndi.binary_dilation(skin > 0.05)] = 0  # the voxels that share the skin are no gland  # pyright: ignore[reportCallIssue]
     tumour, note = np.zeros_like(inner), "no tumour class: give a label map to have one"
     if weighting == "t1-fatsat" and centre_mm is not None:
         tumour = bright_mass(part, inner, centre_mm)

@@ -75,7 +75,7 @@ def wall_surface(image: Volume, guess_mm: np.ndarray, fat_bright: bool) -> np.nd
     rows = (y - image.origin_mm[1]) / step
     contrast = _contrast(image, fat_bright)
     zz, xx = np.indices(guess_mm.shape)
-    where = np.stack(np.broadcast_arrays(zz[..., None], rows, xx[..., None]))
+    where = np.stack(np.broadcast_arrays(zz[..., None], rows, xx[..., None]))  # pyright: ignore[reportIndexIssue]
     cost = -ndi.map_coordinates(contrast, where, order=1, mode="nearest")
     cost += 0.25 * (levels / WINDOW_MM[1]) ** 2
     total = _aggregate(cost)
@@ -157,8 +157,8 @@ def foot(height_mm: np.ndarray, on_side: np.ndarray, voxel_mm: tuple[float, floa
     least = float(np.clip(FOOT_SHARE * top, *FOOT_MM))
     radius = [max(round(4 / v), 1) for v in voxel_mm]
     tall = ndi.binary_opening(height > least, np.ones((2 * radius[0] + 1, 2 * radius[1] + 1)))
-    pieces, n = ndi.label(tall)
+    pieces, n = ndi.label(tall)  # pyright: ignore[reportGeneralTypeIssues]
     if n == 0:
         raise InputError("image: no breast found on that side; check side, position and image, or give a label map.")
     volumes = ndi.sum_labels(height, pieces, np.arange(1, n + 1))
-    return ndi.binary_fill_holes(pieces == 1 + int(np.argmax(volumes)))
+    return ndi.binary_fill_holes(pieces == 1 + int(np.argmax(volumes)))  # pyright: ignore[reportReturnType]

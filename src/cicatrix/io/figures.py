@@ -35,7 +35,9 @@ def section_figure(planned: Plan, anatomy: Anatomy) -> Figure:
     shares = anatomy.probabilities.sample(points)
     for channel, (label, colour) in enumerate(TISSUE_COLOURS.items()):
         if (shares[channel] > 0.5).any():
-            axes[0].contour(raster.points[..., 0], raster.points[..., 1], shares[channel], [0.5], colors=[colour], linewidths=0.8)
+            axes[0].contour(
+                raster.points[..., 0], raster.points[..., 1], shares[channel], [0.5], colors=[colour], linewidths=0.8
+            )
             axes[0].plot([], [], color=colour, label=label.name.lower())
     axes[0].legend(loc="lower right", fontsize=8)
     axes[0].set_title("tissue classes")
@@ -77,7 +79,9 @@ def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tupl
     """Energy along the resection edge before and after surgery (G Fig. 2): direction -> ((angle, W), (angle, W))."""
     columns = min(3, len(profiles))
     rows = -(-len(profiles) // columns)
-    figure, axes = plt.subplots(rows, columns, figsize=(4.2 * columns, 3 * rows), layout="constrained", squeeze=False, sharex=True, sharey=True)
+    figure, axes = plt.subplots(
+        rows, columns, figsize=(4.2 * columns, 3 * rows), layout="constrained", squeeze=False, sharex=True, sharey=True
+    )
     for ax, (name, (before, after)) in zip(axes.flat, profiles.items()):
         ax.plot(*before, color=BEFORE, label="before surgery")
         ax.plot(*after, color=HEALED, label="after surgery")
@@ -92,7 +96,9 @@ def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tupl
     return figure
 
 
-def closure_figure(planned: Plan, lattice: Lattice, fronts: Iterable[np.ndarray], rows: list[dict], title: str) -> Figure:
+def closure_figure(
+    planned: Plan, lattice: Lattice, fronts: Iterable[np.ndarray], rows: list[dict], title: str
+) -> Figure:
     """The wound's outline at the end of each cycle (G Fig. 5), and closure over time."""
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
     positions = lattice.positions()
@@ -100,14 +106,18 @@ def closure_figure(planned: Plan, lattice: Lattice, fronts: Iterable[np.ndarray]
     colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, max(len(fronts), 2)))
     for is_open, colour in zip(fronts, colours):
         if is_open.any():
-            left.contour(positions[..., 0], positions[..., 1], is_open.astype(float), [0.5], colors=[colour], linewidths=1.0)
+            left.contour(
+                positions[..., 0], positions[..., 1], is_open.astype(float), [0.5], colors=[colour], linewidths=1.0
+            )
     left.set_title(title)
     _dress(left, planned)
     left.autoscale_view()
     days = [r["time_days"] for r in rows]
     right.plot(days, [100 * r["closed_fraction"] for r in rows], "o-", color="#0072b2", label="closed [% of the area]")
     radius = [np.sqrt(r["open_area_mm2"] / np.pi) for r in rows]
-    right.plot(days, [100 * q / radius[0] for q in radius], "s--", color=WOUND, label="equivalent radius [% of the first]")
+    right.plot(
+        days, [100 * q / radius[0] for q in radius], "s--", color=WOUND, label="equivalent radius [% of the first]"
+    )
     right.plot(days, [100 * r["wound_asymmetry"] for r in rows], "^:", color="#009e73", label="asymmetry [%]")
     right.set_xlabel("time [days]")
     right.set_ylabel("[%]")
@@ -117,7 +127,9 @@ def closure_figure(planned: Plan, lattice: Lattice, fronts: Iterable[np.ndarray]
     return figure
 
 
-def outline_figure(planned: Plan, shapes: Mapping[str, list[tuple[str, np.ndarray]]], cavity: Mapping[str, np.ndarray]) -> Figure:
+def outline_figure(
+    planned: Plan, shapes: Mapping[str, list[tuple[str, np.ndarray]]], cavity: Mapping[str, np.ndarray]
+) -> Figure:
     """Breast outlines as the tissue heals (G Fig. 6): position -> [(name, positions (n_nodes, 3)), ...], healed last.
 
     cavity: position -> loaded positions whose resection edge is drawn.
@@ -129,13 +141,19 @@ def outline_figure(planned: Plan, shapes: Mapping[str, list[tuple[str, np.ndarra
             first, last = i == 0, i == len(named) - 1
             colour = BEFORE if first else HEALED if last else middle[i - 1]
             width = 2.0 if first or last else 1.0
-            ax.plot(*_closed(x[planned.outline, :2]).T, color=colour, linewidth=width, label=name, linestyle="--" if first else "-")
+            ax.plot(
+                *_closed(x[planned.outline, :2]).T,
+                color=colour,
+                linewidth=width,
+                label=name,
+                linestyle="--" if first else "-",
+            )
         if position in cavity:
             ends = cavity[position][_cavity_edges(planned)]
             ax.plot(ends[..., 0].T, ends[..., 1].T, color=WOUND, linewidth=1.0)
             ax.plot([], [], color=WOUND, label="resection edge, healed")
         ax.set_title(position)
-        ax.legend(fontsize=8)
+        ax.legend(fontsize=8, loc="lower left")
         _dress(ax, planned)
     return figure
 

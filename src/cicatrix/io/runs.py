@@ -148,11 +148,12 @@ class _Lumpectomy:
     def go(self) -> str:
         """Run all stages; returns the sentence that ends the run."""
         if self.folder.checkpoint is None:
-            planned, cycle, state = self._begin()
+            planned, cycle, start = self._begin()
         else:
-            planned, cycle, state = self._resume(self.folder.checkpoint)
+            planned, cycle, start = self._resume(self.folder.checkpoint)
+        state = start
         with self.progress.stage("heal"):
-            for state in run(cycle, state, last_cycle(self.case)):
+            for state in run(cycle, start, last_cycle(self.case)):
                 self._record(planned, cycle, state)
                 self.progress.update(self.rows[-1]["closed_fraction"], f"day {self.rows[-1]['time_days']:.0f}")
         with self.progress.stage("outcome"):
@@ -169,18 +170,22 @@ class _Lumpectomy:
             self.folder.save_figure("section", figures.section_figure(planned, anatomy))
         equilibrium = equilibrium_of(self.case)
         with self.progress.stage("unload"):
-            X, report = equilibrium.unloaded(planned.intact, planned.x_imaged, planned.gravity(self.case.image.position))
+            X, report = equilibrium.unloaded(
+                planned.intact, planned.x_imaged, planned.gravity(self.case.image.position)
+            )
             self._tell("unloaded shape", report)
         with self.progress.stage("before surgery"):
             for position in self._positions:
                 self.progress.update(0.0, position)
-                x, report = equilibrium.loaded(planned.intact, X, planned.gravity(position), self._near(planned, position))
+                x, report = equilibrium.loaded(
+                    planned.intact, X, planned.gravity(position), self._near(planned, position)
+                )
                 self.shapes[position, BEFORE] = x
                 self._tell(f"before surgery, {position}", report)
         cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium)
         with self.progress.stage("surgery"):
             state = cycle.start()
-            self.shapes[self._home, FRESH] = state.x
+            self._visit(planned, cycle, state, FRESH)
             self._record(planned, cycle, state)
         return planned, cycle, state
 
@@ -221,7 +226,11 @@ class _Lumpectomy:
             cycle.X[: space.bubbles[0]],
             space.element_nodes[:, :6],
             {"displacement": (state.x - cycle.X)[: space.bubbles[0]]},
-            {"filled_fraction": state.filled, "strain_energy_density_kPa": W, "cavity": planned.cavity.astype(np.int32)},
+            {
+                "filled_fraction": state.filled,
+                "strain_energy_density_kPa": W,
+                "cavity": planned.cavity.astype(np.int32),
+            },
         )
         self.folder.save_checkpoint(state.cycle, self._arrays(planned, cycle, state), self._scalars(state))
 
@@ -251,7 +260,13 @@ class _Lumpectomy:
             "W_ref": state.W_ref,
             "newton_iterations": state.newton_iterations,
             "closure_step": state.closure_step,
-            "healing": [healing.step, healing.n_edge_divisions, healing.n_layer_divisions, healing.n_dropped, healing.n_clamped],
+            "healing": [
+                healing.step,
+                healing.n_edge_divisions,
+                healing.n_layer_divisions,
+                healing.n_dropped,
+                healing.n_clamped,
+            ],
         }
 
     def _resume(self, kept: Checkpoint) -> tuple[Plan, HealingCycle, TissueState]:

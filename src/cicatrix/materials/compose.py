@@ -14,7 +14,7 @@ class Sum(EnergyMaterial):
 
     def energy(self, F: Array, state: State = ()) -> Array:
         """Sum of the parts' energies: F (..., 3, 3) [1] -> (...) [kPa]."""
-        return sum(part.energy(F, s) for part, s in zip(self.parts, state or ((),) * len(self.parts), strict=True))
+        return sum(part.energy(F, s) for part, s in zip(self.parts, state or ((),) * len(self.parts), strict=True))  # pyright: ignore[reportReturnType]
 
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The parts' histories, in order."""

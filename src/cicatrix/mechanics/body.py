@@ -140,13 +140,17 @@ class Body:
         cells = self.frame.space.element_nodes
         return np.asarray(_dilations(self._tables, X[cells], x[cells], self._bulk))
 
-    def residual(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, J_bar: np.ndarray | None = None) -> np.ndarray:
+    def residual(
+        self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, J_bar: np.ndarray | None = None
+    ) -> np.ndarray:
         """Internal minus external force per depth -> (n_nodes, 3) [mN/mm].
 
         X, x (n_nodes, 3) [mm], gravity (3,) [mm/s^2]; J_bar (n_elements, n_qp) is ``dilation`` unless given.
         """
         J_bar = self.dilation(X, x) if J_bar is None else J_bar
-        return self.frame.scatter(_forces(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane, gravity))
+        return self.frame.scatter(
+            _forces(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane, gravity)
+        )
 
     def linearised(
         self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, *, in_plane: bool, damping: float = 0.0
@@ -167,7 +171,7 @@ class Body:
     def volume_force(self, elements: Linearised, gap: np.ndarray) -> np.ndarray:
         """Change of force when J_bar changes by ``gap`` (n_elements, n_qp) -> (n_nodes, 3) [mN/mm]."""
         force = np.einsum("eqm,eq->em", elements.force_rate, gap).reshape(len(gap), -1, 3)
-        return self.frame.scatter([force, np.zeros(self.frame.skin_nodes.shape + (3,))])
+        return self.frame.scatter([force, np.zeros((*self.frame.skin_nodes.shape, 3))])
 
     def reference_tangent(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, *, in_plane: bool) -> sp.csr_array:
         """Derivative of the residual by the reference positions X on the free dofs [mN/mm^2]."""

@@ -44,7 +44,7 @@ class Membrane(NamedTuple):
 def local_map(x: Array, gradient: np.ndarray) -> Array:
     """Derivative of position by the local axes and the normal: x (n, n_shape, 3) -> (n, n_qp, 3, 3) [mm]."""
     columns = jnp.einsum("eai,qab->eqib", x, gradient)
-    normal = jnp.broadcast_to(NORMAL, columns.shape[:2] + (3,))
+    normal = jnp.broadcast_to(NORMAL, (*columns.shape[:2], 3))
     return jnp.concatenate([columns, normal[..., None]], axis=-1)
 
 
@@ -72,7 +72,7 @@ def kinematics(X: Array, x: Array, table: Table) -> tuple[Array, Array, Array]:
     """F [1], L2 projection on linear functions, and weights [mm^2] at quadrature points: X, x (n, a, 3) [mm]."""
     X_map = local_map(X, table.gradient)
     weights = table.weight * jnp.abs(det(X_map))  # the mesh library orients triangles either way
-    return product(local_map(x, table.gradient), inv(X_map)), linear_projection(table.points, weights), weights
+    return product(local_map(x, table.gradient), inv(X_map)), linear_projection(table.points, weights), weights  # pyright: ignore[reportReturnType]
 
 
 def dilation(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
@@ -171,7 +171,6 @@ def tied_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> 
 
 def _point_derivatives(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array):
     """Derivatives of ``point_stress`` by F: (A (..., 3, 3, 3, 3), b (..., 3, 3)), and by J_bar: ((..., 3, 3), (...))."""
-
     _, along = jax.linearize(lambda G, j: point_stress(law, G, j, pressure), F, J_bar)
     directions = jnp.eye(9).reshape(9, 3, 3)
     A, b = jax.vmap(lambda d: along(jnp.broadcast_to(d, F.shape), jnp.zeros_like(J_bar)))(directions)

@@ -38,7 +38,9 @@ class Equilibrium:
         """Matrices factorised so far."""
         return sum(s.n_factorizations for s in self._linear.values())
 
-    def loaded(self, body: Body, X: np.ndarray, gravity: np.ndarray, start: np.ndarray | None = None) -> tuple[np.ndarray, NewtonReport]:
+    def loaded(
+        self, body: Body, X: np.ndarray, gravity: np.ndarray, start: np.ndarray | None = None
+    ) -> tuple[np.ndarray, NewtonReport]:
         """Find the loaded shape of a body whose unloaded shape is known.
 
         Parameters
@@ -129,7 +131,9 @@ class Equilibrium:
             return np.concatenate([r, scale * (body.dilation(problem.X, x) - J_bar).ravel()])
 
         def linearise(z: np.ndarray) -> tuple[LinearSolver, Linearised]:
-            matrix, elements = body.linearised(problem.X, problem.positions(z[:n]), z[n:].reshape(shape), in_plane=problem.in_plane)
+            matrix, elements = body.linearised(
+                problem.X, problem.positions(z[:n]), z[n:].reshape(shape), in_plane=problem.in_plane
+            )
             return self._factored("x", problem, matrix), elements
 
         kept = _Kept(linearise)
@@ -161,7 +165,7 @@ class Equilibrium:
 
         def step(values: np.ndarray, r: np.ndarray, damping: float) -> np.ndarray:
             x = problem.positions(values)
-            damping *= max(np.linalg.norm(problem.gravity), 1.0)
+            damping *= max(np.linalg.norm(problem.gravity), 1.0)  # pyright: ignore[reportAssignmentType]
             J_bar = body.dilation(problem.X, x)
             matrix, _ = body.linearised(problem.X, x, J_bar, in_plane=problem.in_plane, damping=damping)
             return self._factored("x", problem, matrix).solve(-r)

@@ -11,7 +11,7 @@ import skfem
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ..core.errors import InputError
-from ..core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2, density_kg_mm3, days_from_weeks, mm_from_um
+from ..core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2, days_from_weeks, density_kg_mm3, mm_from_um
 from ..coupling.cycle import HealingCycle, Tissue, tissue_law
 from ..coupling.deposition import Deposition
 from ..geometry.hexgrid import Lattice
@@ -130,7 +130,12 @@ def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
     cavity = _cavity(body, raster, centre2, radius)
     points = raster.points[inside]
     mesh = mesh_section(
-        interpolant(body, raster), cavity, points.min(axis=0), points.max(axis=0), case.mesh.edge_mm, case.mesh.cavity_edge_mm
+        interpolant(body, raster),
+        cavity,
+        points.min(axis=0),
+        points.max(axis=0),
+        case.mesh.edge_mm,
+        case.mesh.cavity_edge_mm,
     )
     mesh = label_borders(mesh, _is_wall(anatomy.labels, section, raster))
     return _filled(case, section, mesh, _tissue(case, anatomy, section, Space(mesh)), centre, radius)
@@ -208,7 +213,7 @@ def _is_wall(labels: Volume, section: Section, raster: Raster):
     air = np.pad(values == Label.AIR, 1, constant_values=False)
     if not chest.any():
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
-    nearer_chest = distance_transform_edt(~chest) < (distance_transform_edt(~air) if air.any() else np.inf)
+    nearer_chest = distance_transform_edt(~chest) < (distance_transform_edt(~air) if air.any() else np.inf)  # pyright: ignore[reportOperatorIssue]
     return lambda p: map_coordinates(nearer_chest.astype(float), raster.index(p) + 1.0, order=1, mode="nearest") > 0.5
 
 
@@ -279,7 +284,9 @@ def lattice_on(case: LumpectomyCase, planned: Plan, X: np.ndarray) -> tuple[Auto
     return Automaton(lattice, fillable, is_open, rules, case.run.seed), sites
 
 
-def healing_cycle(case: LumpectomyCase, planned: Plan, X: np.ndarray, x_intact: np.ndarray, equilibrium: Equilibrium) -> HealingCycle:
+def healing_cycle(
+    case: LumpectomyCase, planned: Plan, X: np.ndarray, x_intact: np.ndarray, equilibrium: Equilibrium
+) -> HealingCycle:
     """Join mechanics and healing.
 
     X, x_intact (n_nodes, 3) [mm]: unloaded shape, and loaded shape in the healing position, of the intact body.
@@ -328,4 +335,3 @@ def _ordered_outline(space: Space) -> np.ndarray:
 def visit_cycles(case: LumpectomyCase) -> dict[float, int]:
     """Cycle nearest to each visit: weeks -> cycle number."""
     return {w: round(days_from_weeks(w) / case.coupling.days_per_cycle) for w in case.outcome.visits_weeks}
-

@@ -80,8 +80,10 @@ def outcome_numbers(changes: dict[tuple[str, str], ShapeChange], main: tuple[str
     """Shape numbers by (position, visit); the headline names carry those of ``main``."""
     out: dict[str, Number] = {}
     for field in fields(ShapeChange):
-        unit = UNITS[field.name.rsplit("_", 1)[1]] if field.name.rsplit("_", 1)[1] in UNITS else "mm"
-        out[field.name] = Number(getattr(changes[main], field.name), unit, f"{main[0]}, {main[1]}, against before surgery")
+        unit = UNITS.get(field.name.rsplit("_", 1)[1], "mm")
+        out[field.name] = Number(
+            getattr(changes[main], field.name), unit, f"{main[0]}, {main[1]}, against before surgery"
+        )
     for (position, visit), change in changes.items():
         for field in fields(ShapeChange):
             unit = out[field.name].unit

@@ -1,0 +1,85 @@
+"""Breast shape as the tissue heals (Garbey et al., Fig. 6): prints claim | measured | holds."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from cicatrix.coupling.cycle import run
+from cicatrix.io import figures
+from cicatrix.io.cases import load_case
+from cicatrix.io.runs import anatomy_of
+from cicatrix.study.lumpectomy import last_cycle
+from cicatrix.study.prepare import prepare, reseeded
+from cicatrix.study.summary import shape_numbers
+
+HERE = Path(__file__).parent
+SEEDS = range(1, 6)
+SHOWN = 4  # a cycle in so many is drawn
+
+
+def measure() -> tuple[dict[str, np.ndarray], tuple]:
+    """Shape numbers of the fresh and of the healed breast, one per seed of the automaton, and the outlines of the last."""
+    case = load_case(HERE / "case.toml")
+    planned, cycle = prepare(case, anatomy_of(case)[0])
+    out: dict[str, list[float]] = {"area": [], "retraction": [], "nipple": [], "fresh": []}
+    for seed in SEEDS:
+        healing = reseeded(cycle, seed)
+        fresh = state = healing.start()
+        named = [("before surgery", cycle.x_intact), ("fresh", fresh.x)]
+        for state in run(healing, fresh, last_cycle(case)):
+            if state.cycle % SHOWN == 0:
+                named.append((f"day {healing.days(state.cycle):.0f}", state.x))
+        named.append(("healed" if state.is_closed else "last week", state.x))
+        change, first = (shape_numbers(planned, cycle.x_intact, s.x) for s in (state, fresh))
+        out["area"].append(change.volume_change_percent)
+        out["retraction"].append(change.surface_retraction_max_mm)
+        out["nipple"].append(change.nipple_displacement_mm)
+        out["fresh"].append(first.surface_retraction_max_mm)
+    return {n: np.array(v) for n, v in out.items()}, (planned, case.coupling.healing_position, named)
+
+
+def table(m: dict[str, np.ndarray]) -> list[tuple[str, str, bool]]:
+    """Claim, measured, holds."""
+
+    def show(name: str) -> str:
+        return f"{m[name].mean():.3f} +- {m[name].std(ddof=1):.3f}"
+
+    return [
+        (
+            "complete healing leaves the breast smaller (area in the section, every seed)",
+            f"{show('area')} %",
+            bool((m["area"] < 0).all()),
+        ),
+        (
+            "the skin stays retracted after complete healing (more than 0.1 mm, every seed)",
+            f"{show('retraction')} mm healed, {show('fresh')} mm fresh",
+            bool((m["retraction"] > 0.1).all()),
+        ),
+        (
+            "the nipple has moved (more than 0.1 mm, every seed)",
+            f"{show('nipple')} mm",
+            bool((m["nipple"] > 0.1).all()),
+        ),
+    ]
+
+
+def main() -> int:
+    """Print the table, draw the figure; 0 if every row is as expected.csv says."""
+    measured, (planned, position, named) = measure()
+    figure = figures.outline_figure(planned, {position: named}, {position: named[-1][1]})
+    figure.savefig(HERE / "fig6.png", dpi=110)
+    with (HERE / "expected.csv").open() as file:
+        expected = {row["claim"]: row["holds"] == "yes" for row in csv.DictReader(file)}
+    rows = table(measured)
+    print("claim | measured | holds")
+    for claim, value, holds in rows:
+        print(f"{claim} | {value} | {'yes' if holds else 'no'}")
+    return int(any(expected.get(claim) != holds for claim, _, holds in rows))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
