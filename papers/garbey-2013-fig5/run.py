@@ -123,17 +123,18 @@ def table(m: dict[str, np.ndarray]) -> list[tuple[str, str, bool]]:
 def draw(planned, cycle, one_fronts, two_rows, two_fronts) -> None:
     """Outlines at the end of each cycle, without and with feedback."""
     lattice = cycle.automaton.lattice
+    days = max(1, round(cycle.days_per_cycle / cycle.days_per_step)) * cycle.days_per_step
     for name, fronts, title in (("left", one_fronts, "fixed rate"), ("right", two_fronts, "rate depends on energy")):
         rows = two_rows if name == "right" else None
-        figure = figures.closure_figure(planned, lattice, fronts, rows or _rows(cycle, fronts), title)
+        figure = figures.closure_figure(planned, lattice, fronts, rows or _rows(cycle, fronts, days), title)
         figure.savefig(HERE / f"fig5-{name}.png", dpi=110)
 
 
-def _rows(cycle: HealingCycle, fronts: list[np.ndarray]) -> list[dict]:
+def _rows(cycle: HealingCycle, fronts: list[np.ndarray], days: float) -> list[dict]:
     lattice, n0, centre = cycle.automaton.lattice, fronts[0].sum(), closure.wound_centre(fronts[0])
     return [
         {
-            "time_days": i * cycle.days_per_cycle,
+            "time_days": i * days,
             "closed_fraction": 1 - f.sum() / n0,
             "open_area_mm2": closure.open_area(lattice, f),
             "wound_asymmetry": closure.asymmetry(f, centre),
