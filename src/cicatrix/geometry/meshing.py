@@ -16,10 +16,13 @@ INSIDE = 3  # MMG's reference number for the negative side of a level set
 Function = Callable[[np.ndarray], np.ndarray]
 
 
-def signed_distance(mask: np.ndarray, pixel_mm: float, smooth_pixels: float = 2.0) -> np.ndarray:
-    """Signed distance to the border of a mask, negative inside: (ny, nx) bool -> (ny, nx) [mm]."""
+def signed_distance(mask: np.ndarray, pixel_mm: float, smooth_mm: float = 1.3) -> np.ndarray:
+    """Signed distance to the border of a mask, negative inside: (ny, nx) bool -> (ny, nx) [mm].
+
+    Smoothed over ``smooth_mm``, about the thickness of skin: what is finer is the image's steps, not her shape.
+    """
     outside, inside = distance_transform_edt(~mask), distance_transform_edt(mask)
-    return pixel_mm * gaussian_filter(np.where(mask, 0.5 - inside, outside - 0.5), smooth_pixels, mode="nearest")  # pyright: ignore[reportOperatorIssue]
+    return pixel_mm * gaussian_filter(np.where(mask, 0.5 - inside, outside - 0.5), smooth_mm / pixel_mm, mode="nearest")  # pyright: ignore[reportOperatorIssue]
 
 
 def component_at(mask: np.ndarray, row: int, column: int) -> np.ndarray:
