@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton
 from cicatrix.healing.rates import LAYER_UM, P_EDGE, P_LAYER, hours_per_step_at_pitch, rules_at_pitch
+from cicatrix.io.claims import print_claims
 
 HERE = Path(__file__).parent
 SEEDS = range(5)
@@ -102,13 +102,8 @@ def table(m: dict[str, float]) -> list[tuple[str, str, bool]]:
 
 def main() -> int:
     """Print the table; 1 if a row differs from expected.csv."""
-    with (HERE / "expected.csv").open() as file:
-        expected = {row["claim"]: row["holds"] for row in csv.DictReader(file)}
     print(f"p_edge {P_EDGE}, p_layer {P_LAYER}, layer {LAYER_UM:g} um")
-    rows = table(measure())
-    for claim, measured, holds in rows:
-        print(f"{claim} | {measured} | {'yes' if holds else 'no'}")
-    return int(expected != {claim: "yes" if holds else "no" for claim, _, holds in rows})
+    return print_claims(HERE, table(measure()))
 
 
 if __name__ == "__main__":

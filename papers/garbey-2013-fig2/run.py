@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 from cicatrix.core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2
 from cicatrix.io import figures
 from cicatrix.io.cases import load_case
+from cicatrix.io.claims import print_claims
 from cicatrix.io.runs import anatomy_of
 from cicatrix.study.prepare import loaded_in, prepare
 from cicatrix.study.summary import edge_profile
@@ -77,13 +77,7 @@ def main() -> int:
     """Print the table, draw the figure; 0 if every row is as expected.csv says."""
     measured, pictures = measure()
     figures.edge_figure(pictures).savefig(HERE / "fig2.png", dpi=110)
-    with (HERE / "expected.csv").open() as file:
-        expected = {row["claim"]: row["holds"] == "yes" for row in csv.DictReader(file)}
-    rows = table(measured)
-    print("claim | measured | holds")
-    for claim, value, holds in rows:
-        print(f"{claim} | {value} | {'yes' if holds else 'no'}")
-    return int(any(expected.get(claim) != holds for claim, _, holds in rows))
+    return print_claims(HERE, table(measured))
 
 
 if __name__ == "__main__":

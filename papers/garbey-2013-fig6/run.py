@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import sys
 from pathlib import Path
 
@@ -11,6 +10,7 @@ import numpy as np
 from cicatrix.coupling.cycle import run
 from cicatrix.io import figures
 from cicatrix.io.cases import load_case
+from cicatrix.io.claims import print_claims
 from cicatrix.io.runs import anatomy_of
 from cicatrix.study.lumpectomy import last_cycle
 from cicatrix.study.prepare import prepare, reseeded
@@ -72,13 +72,7 @@ def main() -> int:
     measured, (planned, position, named) = measure()
     figure = figures.outline_figure(planned, {position: named}, {position: named[-1][1]})
     figure.savefig(HERE / "fig6.png", dpi=110)
-    with (HERE / "expected.csv").open() as file:
-        expected = {row["claim"]: row["holds"] == "yes" for row in csv.DictReader(file)}
-    rows = table(measured)
-    print("claim | measured | holds")
-    for claim, value, holds in rows:
-        print(f"{claim} | {value} | {'yes' if holds else 'no'}")
-    return int(any(expected.get(claim) != holds for claim, _, holds in rows))
+    return print_claims(HERE, table(measured))
 
 
 if __name__ == "__main__":

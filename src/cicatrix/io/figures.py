@@ -159,10 +159,7 @@ def outline_figure(
 
 
 def _cavity_edges(planned: Plan) -> np.ndarray:
-    mesh = planned.mesh
-    inner, outer = mesh.f2t
-    border = np.flatnonzero((outer >= 0) & (planned.cavity[inner] != planned.cavity[np.maximum(outer, 0)]))
-    return planned.intact.frame.space.edge_nodes(border)[:, :2]
+    return planned.intact.frame.space.edge_nodes(planned.cavity_border)[:, :2]
 
 
 def _dress(ax: Axes, planned: Plan) -> None:

@@ -66,6 +66,12 @@ class Plan:
         removed[self.mesh.subdomains["cavity"]] = True
         return removed
 
+    @cached_property
+    def cavity_border(self) -> np.ndarray:
+        """Mesh edges between the cavity and the tissue around it (n_edges,)."""
+        inner, outer = self.mesh.f2t
+        return np.flatnonzero((outer >= 0) & (self.cavity[inner] != self.cavity[np.maximum(outer, 0)]))
+
     @property
     def x_imaged(self) -> np.ndarray:
         """Positions as imaged (n_nodes, 3) [mm]."""

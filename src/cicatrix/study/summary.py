@@ -112,9 +112,9 @@ def edge_profile(planned: Plan, body: Body, X: np.ndarray, x: np.ndarray) -> tup
     """
     space = body.frame.space
     mesh = space.mesh
-    inner, outer = mesh.f2t
-    border = np.flatnonzero((outer >= 0) & (planned.cavity[inner] != planned.cavity[np.maximum(outer, 0)]))
-    side = np.where(planned.cavity[inner[border]], outer[border], inner[border])
+    border = planned.cavity_border
+    inner, outer = mesh.f2t[:, border]
+    side = np.where(planned.cavity[inner], outer, inner)
     coefficients = linear_fit(body.energy_density(X, x), body.volumes(X), space.table.points)[side]
     middle = mesh.p[:, mesh.facets[:, border]].mean(axis=1).T
     local = _local(mesh.p[:, mesh.t[:, side]].transpose(2, 1, 0), middle)

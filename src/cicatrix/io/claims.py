@@ -1,0 +1,17 @@
+"""The table of a reproduced result: claim, measured, holds; checked against the folder's expected.csv."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from pathlib import Path
+
+
+def print_claims(folder: Path, rows: Sequence[tuple[str, str, bool]]) -> int:
+    """Print the rows (claim, measured, holds); returns 0 if they are exactly those of ``folder/expected.csv``, else 1."""
+    with (folder / "expected.csv").open() as file:
+        expected = {row["claim"]: row["holds"] for row in csv.DictReader(file)}
+    print("claim | measured | holds")
+    for claim, measured, holds in rows:
+        print(f"{claim} | {measured} | {'yes' if holds else 'no'}")
+    return int(expected != {claim: "yes" if holds else "no" for claim, _, holds in rows})
