@@ -112,9 +112,9 @@ def point_stress(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array) -
 
 
 def slopes(X: Array, table: Table) -> Array:
-    """Gradients of the shape functions in the reference configuration: X (n, a, 3) [mm] -> (n, n_qp, a, 3) [1/mm]."""
-    inverse = inv(local_map(X, table.gradient))[..., : table.gradient.shape[-1], :]
-    return jnp.einsum("qab,eqbJ->eqaJ", table.gradient, inverse)
+    """Gradients of the shape functions along the element's axes: X (n, a, 3) [mm] -> (n, n_qp, a, n_axes) [1/mm]."""
+    axes = table.gradient.shape[-1]  # nothing changes along a section's normal
+    return jnp.einsum("qab,eqbJ->eqaJ", table.gradient, inv(local_map(X, table.gradient))[..., :axes, :axes])
 
 
 def bulk_force(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
@@ -122,7 +122,8 @@ def bulk_force(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, tab
     F, projection, weights = kinematics(X, _tissue_only(X, x, bulk), table)
     P, _ = point_stress(bulk.law, F, J_bar, _pressure(bulk.law, F, J_bar, projection))
     weights = weights * bulk.fraction[:, None]
-    internal = jnp.einsum("eq,eqiJ,eqaJ->eai", weights, P, slopes(X, table))
+    B = slopes(X, table)
+    internal = jnp.einsum("eq,eqiJ,eqaJ->eai", weights, P[..., : B.shape[-1]], B)
     mass = weights * bulk.density
     return internal - jnp.einsum("eq,qa->ea", mass, table.value)[..., None] * gravity
 
@@ -148,18 +149,20 @@ def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Li
     """Contract the point tangents to element matrices; ``tangent`` of ``tied_force`` is the slow twin where J_bar = J_bar(x)."""
     x = _tissue_only(X, x, bulk)
     F, projection, weights = kinematics(X, x, table)
-    by_F, by_J = _point_derivatives(bulk.law, F, J_bar, _pressure(bulk.law, F, J_bar, projection))
-    weights = (weights * bulk.fraction[:, None])[..., None]
     B = slopes(X, table)
-    n, n_qp, a, _ = B.shape
-    dJ = jnp.einsum("eqr,erbi->eqbi", projection, jnp.einsum("eriJ,erbJ->erbi", cofactor(F), B)).reshape(n, n_qp, 3 * a)
-    strain = jnp.einsum("eqaJ,ik->eqiJak", B, jnp.eye(3)).reshape(n, n_qp * 9, 3 * a)
-    A = (weights[..., None] * by_F[0].reshape(n, n_qp, 9, 9)) @ strain.reshape(n, n_qp, 9, 3 * a)
-    forward = jnp.einsum("eqaJ,eqiJ->eqai", B, by_J[0]).reshape(n, n_qp, 3 * a)
-    backward = jnp.einsum("eqaJ,eqiJ->eqai", B, by_F[1]).reshape(n, n_qp, 3 * a)
-    per_volume = weights * (forward + by_J[1][..., None] * dJ)
-    K = jnp.swapaxes(strain, 1, 2) @ A.reshape(n, n_qp * 9, 3 * a)
-    K += jnp.swapaxes(per_volume, 1, 2) @ dJ + jnp.swapaxes(weights * dJ, 1, 2) @ backward
+    n, n_qp, a, axes = B.shape
+    by_F, by_J = _point_derivatives(bulk.law, F, J_bar, _pressure(bulk.law, F, J_bar, projection), axes)
+    weights = (weights * bulk.fraction[:, None])[..., None]
+
+    def to_nodes(P: Array) -> Array:
+        return jnp.einsum("eqaJ,eqiJ->eqai", B, P).reshape(n, n_qp, 3 * a)
+
+    dJ = jnp.einsum("eqr,erm->eqm", projection, to_nodes(cofactor(F)[..., :axes]))
+    per_volume = weights * (to_nodes(by_J[0][..., :axes]) + by_J[1][..., None] * dJ)
+    A = weights[..., None, None, None] * by_F[0]
+    K = jnp.einsum("eqaJ,eqJikb->eaikb", B, jnp.einsum("eqiJkL,eqbL->eqJikb", A, B))
+    K = jnp.swapaxes(K, -1, -2).reshape(n, 3 * a, 3 * a)
+    K += jnp.swapaxes(per_volume, 1, 2) @ dJ + jnp.swapaxes(weights * dJ, 1, 2) @ to_nodes(by_F[1])
     has_tissue = (bulk.fraction > 0.0)[:, None, None]
     return Linearised(K, per_volume, jnp.where(has_tissue, dJ, 0.0))
 
@@ -169,12 +172,16 @@ def tied_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> 
     return bulk_force(X, x, dilation(X, x, bulk, table), bulk, gravity, table)
 
 
-def _point_derivatives(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array):
-    """Derivatives of ``point_stress`` by F: (A (..., 3, 3, 3, 3), b (..., 3, 3)), and by J_bar: ((..., 3, 3), (...))."""
+def _point_derivatives(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array, axes: int):
+    """Derivatives of ``point_stress`` by F (..., 3, axes) along the element's axes, and by J_bar.
+
+    Returns (A (..., 3, axes, 3, axes), b (..., 3, axes)) and ((..., 3, 3), (...)).
+    """
     _, along = jax.linearize(lambda G, j: point_stress(law, G, j, pressure), F, J_bar)
-    directions = jnp.eye(9).reshape(9, 3, 3)
+    directions = np.eye(9).reshape(3, 3, 3, 3)[:, :axes].reshape(3 * axes, 3, 3)
     A, b = jax.vmap(lambda d: along(jnp.broadcast_to(d, F.shape), jnp.zeros_like(J_bar)))(directions)
-    by_F = jnp.moveaxis(A, 0, -1).reshape(*F.shape, 3, 3), jnp.moveaxis(b, 0, -1).reshape(F.shape)
+    shape = (*F.shape[:-2], 3, axes)
+    by_F = jnp.moveaxis(A[..., :axes], 0, -1).reshape(*shape, 3, axes), jnp.moveaxis(b, 0, -1).reshape(shape)
     return by_F, along(jnp.zeros_like(F), jnp.ones_like(J_bar))
 
 

@@ -49,6 +49,7 @@ class Extension:
 def _linear_stiffness(space: Space, X: np.ndarray) -> np.ndarray:
     """Element matrices of an elastic filling with both Lame constants 1 (n_elements, 21, 21)."""
     grad = np.asarray(slopes(X[space.element_nodes], space.table))
+    grad = np.pad(grad, [(0, 0)] * 3 + [(0, 3 - grad.shape[-1])])  # nothing changes along a section's normal
     weights = section_areas(space, X)
     products = np.einsum("eq,eqaJ,eqbK->eaJbK", weights, grad, grad)
     laplacian = np.einsum("eaJbJ->eab", products)[:, :, None, :, None] * np.eye(3)[:, None, :]
