@@ -1,4 +1,7 @@
-"""Localized region-based active contours in a narrow band, in any number of dimensions."""
+"""Localized region-based active contours in a narrow band, in any number of dimensions.
+
+Work happens on lists of sites of a padded grid: a site is one flat index, its neighbours lie a stride away.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +11,7 @@ import numpy as np
 from scipy import ndimage as ndi
 
 FORCES = ("uniform", "separation")
-
-
-MARGIN = 3.0  # sites kept beyond the band that moves, so that its stencils see a distance [voxel]
+MARGIN = 3.0  # sites kept beyond the band, so that its stencils see a distance [voxel]
 STALE = 0.3  # way after which phi is made a distance again [voxel]
 SETTLED = 10  # iterations over which a settled contour must stay
 
@@ -19,8 +20,8 @@ SETTLED = 10  # iterations over which a settled contour must stay
 class Contour:
     """Where the evolution ended.
 
-    ``phi`` is the signed distance, negative inside, cut off at +-``reach`` [voxel]; ``history`` the mean way of the
-    contour per iteration [voxel]; ``touched`` how many sites were worked on, summed over the iterations.
+    ``phi`` is the signed distance, negative inside, cut off a little beyond the band [voxel]; ``history`` the mean way of
+    the contour per iteration [voxel]; ``touched`` how many sites were worked on, summed over the iterations.
     """
 
     phi: np.ndarray
@@ -71,7 +72,7 @@ def evolve(
     band : float
         Half width of the band that moves, and of the smoothed Heaviside and delta [voxel].
     where : (...) bool array, optional
-        Sites that may move; the others keep their phi.
+        Sites that may move; the others are not even looked at, except by the balls.
     n_iterations, step, tolerance : int, float, float
         At most so many steps of at most ``step`` voxel; stops when the contour's mean way over `SETTLED` steps, forth
         minus back, is below ``tolerance`` voxel.
@@ -83,78 +84,94 @@ def evolve(
     """
     if force not in FORCES:
         raise ValueError(f"force must be one of {', '.join(FORCES)}; got {force!r}")
-    offsets, reach = ball(radius, image.ndim), band + MARGIN
-    phi = np.clip(signed_distance(inside), -reach, reach)
-    tube = np.argwhere(np.abs(phi) < reach)
-    history, ways, touched, moved = [], [], 0, 0.0
-    for _ in range(n_iterations):
-        sites = tube[np.abs(phi[tuple(tube.T)]) <= reach - 1.0]
-        sites = sites if where is None else sites[where[tuple(sites.T)]]
-        at = tuple(sites.T)
-        close = np.abs(phi[at]) <= band
+    pad = int(radius) + 1
+    image = np.pad(np.asarray(image, float), pad, mode="edge")
+    reach = band + MARGIN
+    phi = np.pad(np.clip(signed_distance(inside), -reach, reach), pad, mode="edge")
+    may_move = np.pad(np.ones(inside.shape, bool) if where is None else where, pad)
+    grid = _Grid(image.shape, may_move.ravel())
+    flat, offsets = phi.reshape(-1), grid.flat(ball(radius, image.ndim))
+    tube = np.flatnonzero(may_move.ravel() & (np.abs(flat) < reach))
+    share = heaviside(-flat, band)
+    ways: list[float] = []
+    converged, touched, moved = False, 0, 0.0
+    while len(ways) < n_iterations and not converged:
+        sites = tube[np.abs(flat[tube]) <= reach - 1.0]
+        close = np.abs(flat[sites]) <= band
         if not close.any():
-            return Contour(phi, tuple(history), False, touched)
+            break
         touched += len(tube)
         data = np.zeros(len(sites))
-        data[close] = data_force(image, phi, sites[close], offsets, band, force)
-        speed = delta(phi[at], band) / delta(0.0, band) * data / max(float(np.abs(data).max()), 1e-12)
-        speed += curvature * mean_curvature(phi, sites)
+        data[close] = data_force(image.reshape(-1), share, sites[close], offsets, force)
+        speed = delta(flat[sites], band) / delta(0.0, band) * data / max(float(np.abs(data).max()), 1e-12)
+        speed += curvature * mean_curvature(flat, sites, grid.strides)
         change = step * speed / max(1.0, float(np.abs(speed).max()))
         moved += float(np.abs(change).max())
-        wide = tuple(_with_neighbours(tube, phi.shape).T)
-        before, length = heaviside(-phi[wide], band).sum(), max(float(delta(phi[wide], band).sum()), 1e-9)
-        phi[at] += change
+        wide = grid.with_neighbours(tube)
+        length = max(float(delta(flat[wide], band).sum()), 1e-9)
+        flat[sites] += change
         if moved > STALE:
-            tube, moved = _redistanced(phi, tube, reach), 0.0
-        ways.append(float(heaviside(-phi[wide], band).sum() - before) / length)
-        history.append(abs(ways[-1]))
-        if len(ways) >= SETTLED and abs(sum(ways[-SETTLED:])) < tolerance:
-            return Contour(phi, tuple(history), True, touched)
-    return Contour(phi, tuple(history), False, touched)
+            tube, moved = _redistanced(flat, tube, reach, grid), 0.0
+        before, share[wide] = share[wide], heaviside(-flat[wide], band)
+        ways.append(float((share[wide] - before).sum()) / length)
+        converged = len(ways) >= SETTLED and abs(sum(ways[-SETTLED:])) < tolerance
+    return Contour(phi[(slice(pad, -pad),) * phi.ndim].copy(), tuple(abs(w) for w in ways), converged, touched)
 
 
-def data_force(
-    image: np.ndarray, phi: np.ndarray, sites: np.ndarray, offsets: np.ndarray, band: float, force: str
-) -> np.ndarray:
-    """Speed of phi at the sites: sites (n, d) index, offsets (m, d) -> (n,); positive shrinks the inside."""
-    u, v, area_u, area_v = local_means(image, phi, sites, offsets, band)
-    here = image[tuple(sites.T)]
+class _Grid:
+    """Strides of a padded grid, and which of its sites may be touched."""
+
+    def __init__(self, shape: tuple[int, ...], allowed: np.ndarray) -> None:
+        self.strides = np.array([int(np.prod(shape[i + 1 :])) for i in range(len(shape))])
+        self._allowed = allowed
+
+    def flat(self, offsets: np.ndarray) -> np.ndarray:
+        """Offsets (m, d) as flat steps (m,)."""
+        return offsets @ self.strides
+
+    def with_neighbours(self, sites: np.ndarray) -> np.ndarray:
+        """Sites and the allowed sites that share a face with them, each once, ascending."""
+        several = np.unique(
+            np.concatenate([sites, *(sites + s for s in self.strides), *(sites - s for s in self.strides)])
+        )
+        return several[self._allowed[several]]
+
+
+def data_force(image: np.ndarray, share: np.ndarray, sites: np.ndarray, offsets: np.ndarray, force: str) -> np.ndarray:
+    """Speed of phi at the sites: flat image and share inside, sites (n,), offsets (m,) -> (n,); positive shrinks."""
+    u, v, area_u, area_v = local_means(image, share, sites, offsets)
+    here = image[sites]
     if force == "uniform":
         return (here - u) ** 2 - (here - v) ** 2
     return -(u - v) * ((here - u) / np.maximum(area_u, 1) + (here - v) / np.maximum(area_v, 1))
 
 
 def local_means(
-    image: np.ndarray, phi: np.ndarray, sites: np.ndarray, offsets: np.ndarray, band: float
+    image: np.ndarray, share: np.ndarray, sites: np.ndarray, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Means inside and outside within the ball, and the two ball volumes, at the sites: four arrays (n,)."""
-    top = np.asarray(image.shape) - 1
-    sums = np.zeros((4, len(sites)))
+    in_n, in_sum, all_sum = np.zeros((3, len(sites)))
     for offset in offsets:
-        where = tuple(np.clip(sites + offset, 0, top).T)
-        h, value = heaviside(-phi[where], band), image[where]
-        sums += [h * value, (1 - h) * value, h, 1 - h]
-    in_sum, out_sum, in_n, out_n = sums
-    return in_sum / np.maximum(in_n, 1e-6), out_sum / np.maximum(out_n, 1e-6), in_n, out_n
+        near = sites + offset
+        h, value = share[near], image[near]
+        in_n += h
+        in_sum += h * value
+        all_sum += value
+    out_n = len(offsets) - in_n
+    return in_sum / np.maximum(in_n, 1e-6), (all_sum - in_sum) / np.maximum(out_n, 1e-6), in_n, out_n
 
 
-def mean_curvature(phi: np.ndarray, sites: np.ndarray) -> np.ndarray:
-    """|grad phi| div(grad phi / |grad phi|) at the sites by central differences: (n, d) -> (n,) [1/voxel]."""
-    top, d = np.asarray(phi.shape) - 1, phi.ndim
-
-    def at(*moves: int) -> np.ndarray:
-        return phi[tuple(np.clip(sites + moves, 0, top).T)]
-
-    unit = np.eye(d, dtype=int)
-    first = [(at(*unit[i]) - at(*-unit[i])) / 2 for i in range(d)]
+def mean_curvature(phi: np.ndarray, sites: np.ndarray, strides: np.ndarray) -> np.ndarray:
+    """|grad phi| div(grad phi / |grad phi|) at the sites by central differences: flat phi, (n,) -> (n,) [1/voxel]."""
+    first = [(phi[sites + s] - phi[sites - s]) / 2 for s in strides]
     square = sum(g * g for g in first) + 1e-9
     total = np.zeros(len(sites))
-    for i in range(d):
-        second = at(*unit[i]) - 2 * at(*(0 * unit[i])) + at(*-unit[i])
+    for i, s in enumerate(strides):
+        second = phi[sites + s] - 2 * phi[sites] + phi[sites - s]
         total += second * (square - first[i] ** 2)
-        for j in range(i):
-            p, m = unit[i] + unit[j], unit[i] - unit[j]
-            total -= 2 * first[i] * first[j] * (at(*p) - at(*m) - at(*-m) + at(*-p)) / 4
+        for j, t in enumerate(strides[:i]):
+            mixed = (phi[sites + s + t] - phi[sites + s - t] - phi[sites - s + t] + phi[sites - s - t]) / 4
+            total -= 2 * first[i] * first[j] * mixed
     return total / square
 
 
@@ -182,42 +199,30 @@ def delta(x: np.ndarray | float, width: float) -> np.ndarray:
     return 0.5 * (1 + np.cos(np.pi * t)) / width
 
 
-def _redistanced(phi: np.ndarray, tube: np.ndarray, reach: float) -> np.ndarray:
-    """Make phi a signed distance within ``reach`` of its zero level, in place; returns the sites of the new tube.
+def _redistanced(phi: np.ndarray, tube: np.ndarray, reach: float, grid: _Grid) -> np.ndarray:
+    """Make flat phi a signed distance within ``reach`` of its zero level, in place; returns the sites of the new tube.
 
     The sites beside the zero level keep their distance to it to second order (Russo & Smereka, J. Comput. Phys. 163
     (2000)), so the contour does not drift; the others follow by upwind relaxation.
     """
-    old = phi[tuple(tube.T)]
-    tube = _with_neighbours(tube[np.abs(old) < reach - 1.0], phi.shape)
-    start = phi[tuple(tube.T)]
-    ahead, back, beside = _differences(phi, tube)
-    fixed = np.zeros(len(tube))
-    fixed[beside] = start[beside] / _steepest(ahead[:, beside], back[:, beside])
-    phi[tuple(tube[beside].T)] = fixed[beside]
+    tube = grid.with_neighbours(tube[np.abs(phi[tube]) < reach - 1.0])
+    ahead, back, beside = _differences(phi, tube, grid.strides)
+    phi[tube[beside]] /= _steepest(ahead[:, beside], back[:, beside])
     rest = tube[~beside]
-    at, sign = tuple(rest.T), np.sign(start[~beside])
+    sign = np.sign(phi[rest])
     for _ in range(2 * int(np.ceil(reach)) + 2):
-        ahead, back, _ = _differences(phi, rest)
+        ahead, back, _ = _differences(phi, rest, grid.strides)
         rise = np.maximum(np.maximum(back * sign, 0.0), np.maximum(-ahead * sign, 0.0))
-        phi[at] += 0.5 * sign * (1.0 - np.sqrt((rise**2).sum(axis=0)))
-    phi[tuple(tube.T)] = np.clip(phi[tuple(tube.T)], -reach, reach)
-    return tube[np.abs(phi[tuple(tube.T)]) < reach]
+        phi[rest] += 0.5 * sign * (1.0 - np.sqrt((rise**2).sum(axis=0)))
+    phi[tube] = np.clip(phi[tube], -reach, reach)
+    return tube[np.abs(phi[tube]) < reach]
 
 
-def _with_neighbours(sites: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Sites and the sites that share a face with them, each once: (n, d) -> (m, d)."""
-    top, eye = np.asarray(shape) - 1, np.eye(len(shape), dtype=int)
-    several = np.concatenate([sites, *(np.clip(sites + s * e, 0, top) for e in eye for s in (-1, 1))])
-    return np.stack(np.unravel_index(np.unique(np.ravel_multi_index(tuple(several.T), shape)), shape), axis=-1)
-
-
-def _differences(phi: np.ndarray, sites: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _differences(phi: np.ndarray, sites: np.ndarray, strides: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Forward and backward differences (d, n) at the sites, and whether the zero level passes beside them (n,)."""
-    top, here = np.asarray(phi.shape) - 1, phi[tuple(sites.T)]
-    eye = np.eye(phi.ndim, dtype=int)
-    after = np.stack([phi[tuple(np.clip(sites + e, 0, top).T)] for e in eye])
-    before = np.stack([phi[tuple(np.clip(sites - e, 0, top).T)] for e in eye])
+    here = phi[sites]
+    after = np.stack([phi[sites + s] for s in strides])
+    before = np.stack([phi[sites - s] for s in strides])
     beside = ((after < 0) != (here < 0)).any(axis=0) | ((before < 0) != (here < 0)).any(axis=0)
     return after - here, here - before, beside
 

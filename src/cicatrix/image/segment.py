@@ -17,6 +17,8 @@ from .bias import remove_bias
 from .classify import bright_mass, gland_probability, skin_probability
 
 COARSE_MM = 2.0  # grid on which the chest wall is sought
+EDGE_MM = 3.0  # how far within the rough outline the skin's edge may lie
+EDGE_SHARE_T1, EDGE_SHARE_FATSAT = 0.2, 0.5  # level of that edge between air and the brightest tissue near it
 LEAST_BODY_ML = 50.0
 LEAST_CONTRAST = 3.0  # body over air
 
@@ -82,7 +84,7 @@ def segment(
     report = report or (lambda stage, fraction: None)
     _check_words(weighting, side, position)
     report("body", 0.0)
-    body = _body(image)
+    body = _edge_found(image, _body(image), weighting == "t1")
     report("bias field", 0.1)
     flat = remove_bias(image, body)
     report("chest wall", 0.5)
@@ -94,7 +96,7 @@ def segment(
     box = _box(breast)
     probabilities, mass = _tissue(flat, body, breast, box, weighting, resection_centre_mm)
     labels = _labels(probabilities, body, breast)
-    notes = (f"{weighting}, {side} breast, {position}; N4 bias field, skin by threshold", note, mass)
+    notes = (f"{weighting}, {side} breast, {position}; N4 bias field, skin at its edge to air", note, mass)
     report("done", 1.0)
     return Segmentation(image.with_values(labels), image.with_values(probabilities), tuple(n for n in notes if n))
 
@@ -148,6 +150,21 @@ def _body(image: Volume) -> np.ndarray:
     return rough
 
 
+def _edge_found(image: Volume, rough: np.ndarray, fat_bright: bool) -> np.ndarray:
+    """Move the rough outline, which lies outside the skin where the breast is bright, to the edge of what is there.
+
+    Half way up from air to the brightest tissue within reach is the edge of bright skin (fat-saturated). Without fat
+    saturation the skin is dark before bright fat, and its edge lies lower.
+    """
+    size = image.spacing_mm[::-1]
+    air = float(np.median(image.values[~rough])) if not rough.all() else 0.0
+    reach = ndi.distance_transform_edt(rough, sampling=size) <= EDGE_MM  # pyright: ignore[reportOperatorIssue]
+    peak = ndi.maximum_filter(image.values, [2 * max(round(EDGE_MM / s), 1) + 1 for s in size])
+    level = air + (EDGE_SHARE_T1 if fat_bright else EDGE_SHARE_FATSAT) * (peak - air)
+    body = _largest(rough & ~(reach & (image.values < level)))
+    return np.stack([ndi.binary_fill_holes(s) for s in body])  # pyright: ignore[reportCallIssue]
+
+
 def _otsu(v: np.ndarray) -> float:
     """Threshold with the largest variance between the classes."""
     counts, edges = np.histogram(v, 256)
@@ -175,7 +192,13 @@ def _chest(
     midline = wall.find_midline(skin, x_mm, sign)
     if given is None:
         surface = wall.wall_surface(coarse, wall.prior(skin, x_mm, midline), fat_bright)
-        note = f"chest wall automatic, midline at x = {midline:.0f} mm"
+        surface, settled = wall.follow_contour(coarse, solid, surface, skin, sign * (x_mm - midline) > 0)
+        how = (
+            "searched and settled by a localized contour"
+            if settled
+            else "searched; the localized contour did not settle"
+        )
+        note = f"chest wall automatic ({how}), midline at x = {midline:.0f} mm"
     else:
         surface, note = _given_wall(given, coarse)
     last = _axis(flat, 1)[-1]

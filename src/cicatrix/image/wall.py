@@ -1,4 +1,7 @@
-"""Where the breast ends at the back: the chest wall as a height map y(x, z), and the foot of the breast on it."""
+"""Where the breast ends at the back: the chest wall as a height map y(x, z), and the foot of the breast on it.
+
+A search over all levels finds the wall, a localized contour settles on it.
+"""
 
 from __future__ import annotations
 
@@ -7,11 +10,16 @@ from scipy import ndimage as ndi
 
 from ..core.errors import InputError
 from ..geometry.volume import Volume
+from .contour import evolve, heaviside
 
 THORAX_RADIUS_MM = 180.0  # curvature of the prior across the body
 BEHIND_SKIN_MM = 12.0  # prior depth of the wall behind the midline skin
 WINDOW_MM = (-22.0, 42.0)  # search range about the prior
 REACH_MM = 7.0  # tissue compared on either side of the wall
+BROAD_MM, JUMP_MM = 60.0, 10.0  # the wall does not leave its median over so wide a window by more than this
+CONTOUR_MM = 6.0  # how far the contour may leave the wall that was searched for
+BALL_MM = 8.0  # tissue the contour compares
+BEFORE_WALL_MM = 8.0  # where the breast is thinner, the contour is left alone by the skin
 MIN_BREAST_MM = 15.0  # least height of something called a breast
 FOOT_SHARE = 0.25  # the foot ends where the tissue is thinner than this share of the breast's height ...
 FOOT_MM = (14.0, 22.0)  # ... within these limits
@@ -83,7 +91,34 @@ def wall_surface(image: Volume, guess_mm: np.ndarray, fat_bright: bool) -> np.nd
     below, at, above = (np.take_along_axis(total, (best + k)[..., None], -1)[..., 0] for k in (-1, 0, 1))
     shift = np.clip(0.5 * (below - above) / np.maximum(below - 2 * at + above, 1e-6), -0.5, 0.5)
     surface = guess_mm + levels[0] + (best + shift) * step
+    wide = [2 * round(0.5 * BROAD_MM / s) + 1 for s in (image.spacing_mm[2], image.spacing_mm[0])]
+    broad = ndi.median_filter(surface, wide, mode="nearest")
+    surface = np.clip(surface, broad - JUMP_MM, broad + JUMP_MM)
     return ndi.gaussian_filter(ndi.median_filter(surface, 5, mode="nearest"), 1.0, mode="nearest")
+
+
+def follow_contour(
+    image: Volume, body: np.ndarray, surface_mm: np.ndarray, skin_mm: np.ndarray, on_side: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Let a localized contour settle on the wall, starting from the surface that was searched for.
+
+    Image and body on an isotropic grid (nz, ny, nx), surface and skin (nz, nx) [mm], ``on_side`` (nx,) bool: columns to
+    work on. Returns the wall (nz, nx) [mm], and whether the contour settled; if it did not, the surface is as it was.
+    """
+    step = image.spacing_mm[1]
+    y = (image.origin_mm[1] + np.arange(image.shape[1]) * step)[None, :, None]
+    off = np.abs(y - surface_mm[:, None, :])
+    where = (off < CONTOUR_MM) & (y - skin_mm[:, None, :] > BEFORE_WALL_MM) & on_side
+    if not where.any():
+        return surface_mm, False
+    inside = body & (y < surface_mm[:, None, :])
+    contour = evolve(image.values, inside, radius=BALL_MM / step, where=where, n_iterations=150)
+    if not contour.converged:
+        return surface_mm, False
+    window = off < CONTOUR_MM + 1.5 * step
+    first = y.ravel()[window.argmax(axis=1)] - 0.5 * step
+    found = first + (heaviside(-contour.phi, 1.0) * window).sum(axis=1) * step
+    return np.where(where.any(axis=1), found, surface_mm), True
 
 
 def _contrast(image: Volume, fat_bright: bool) -> np.ndarray:
