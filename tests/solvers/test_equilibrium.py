@@ -7,6 +7,7 @@ import pytest
 
 from cicatrix.core.errors import ConvergenceError
 from cicatrix.core.newton import NewtonReport, newton
+from cicatrix.materials.growth import NaturalConfiguration
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.equilibrium import Equilibrium, _Problem
 
@@ -125,6 +126,27 @@ def test_a_nearby_start_gives_the_same(block, loaded):
     assert report.iterations <= 6
 
 
+def test_a_start_far_out_of_balance_is_let_go_little_by_little(block, loaded):
+    """From a shape far away Newton in one go fails; letting go of the forces bit by bit leads to the same answer."""
+    X, solver = block.frame.space.positions, Equilibrium()
+    far, _ = solver.loaded(block, X, 4.0 * SIDEWAYS)
+    x, report = solver.loaded(block, X, -4.0 * SIDEWAYS, far)
+    np.testing.assert_allclose(x[:, 1], solver.loaded(block, X, -4.0 * SIDEWAYS)[0][:, 1], rtol=0, atol=1e-5)
+    assert any(line.startswith("load factor 0 -> 1: ") and "converged" not in line for line in report.history)
+    assert "from the unloaded shape" not in report.history
+
+
+def test_tissue_laid_down_squeezed_is_at_rest_there(mesh, body_on):
+    """Born at 0.6 of its reference volume it bears no stress, so the start is the answer and no load step is lost."""
+    squeezed = np.diag([0.75, 0.8, 1.0])
+    law = NaturalConfiguration(NeoHookean(MU, KAPPA), squeezed)
+    body = body_on(mesh, law, lambda p: p[1] < 1e-9, density=DENSITY)
+    X = body.frame.space.positions
+    x, report = Equilibrium().loaded(body, X, 1e-3 * PRONE, X @ squeezed)
+    np.testing.assert_allclose(x, X @ squeezed, rtol=0, atol=0.02)
+    assert report.iterations <= 3
+
+
 def test_hopeless_load_is_reported(block):
     """A thousand times the gravity, downward onto the wall: an error that tells what was tried, not a wrong shape."""
     with pytest.raises(ConvergenceError) as error:
@@ -198,5 +220,5 @@ def test_a_column_falls_to_a_stable_shape(rectangle, body_on):
     assert np.linalg.eigvalsh(matrix.toarray())[0] > 0  # stable
     assert np.abs(x - X)[:, 0].max() > 0.5 * height
     assert column.potential(X, x, gravity) < column.potential(X, X, gravity) - 1.0
-    assert any("no convergence" in line or "no descent" in line for line in report.history)
+    assert any("downhill" in line for line in report.history)
     assert report.history[-1].startswith("downhill")

@@ -27,9 +27,9 @@ class PlainProgress(Progress):
         self._stages.append((name, 0.0))
         self._print(f"{name} ...")
 
-    def update(self, fraction: float, text: str = "") -> None:
+    def update(self, fraction: float | None, text: str = "") -> None:
         """Say how far the stage is, if it moved on by a tenth."""
-        if not self._stages:
+        if not self._stages or fraction is None:
             return
         name, told = self._stages[-1]
         if fraction >= told + STEP:
@@ -62,10 +62,11 @@ class BarProgress(Progress):
             self._tasks[name] = self._bars.add_task(name, total=None, word="")
         self._open.append(name)
 
-    def update(self, fraction: float, text: str = "") -> None:
+    def update(self, fraction: float | None, text: str = "") -> None:
         """Move the innermost bar."""
         if self._open:
-            self._bars.update(self._tasks[self._open[-1]], total=1.0, completed=fraction, word=text)
+            total = None if fraction is None else 1.0
+            self._bars.update(self._tasks[self._open[-1]], total=total, completed=fraction, word=text)
 
     def end(self, name: str) -> None:
         """Fill the bar."""

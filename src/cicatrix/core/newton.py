@@ -12,21 +12,29 @@ from .errors import ConvergenceError
 
 @dataclass
 class NewtonReport:
-    """What a nonlinear solve did; ``history`` has one line per attempt, for the reader."""
+    """What a nonlinear solve did; ``history`` has one line per attempt, for the reader; ``tell`` hears of each iteration."""
 
     iterations: int = 0
     load_steps: int = 0
     history: list[str] = field(default_factory=list)
+    tell: Callable[[str], None] | None = None
+
+    def count(self, norm: float) -> None:
+        """Count an iteration that ended with this norm of the residual."""
+        self.iterations += 1
+        if self.tell is not None:
+            self.tell(f"iteration {self.iterations}, residual {norm:.1e} mN/mm")
 
 
 FREE_STEPS, GROWTH = 5, 20.0  # the residual may grow so many times in the first steps
+PATIENCE = 4  # later it must halve in so many steps: where it crawls, smaller load steps are cheaper
 
 Residual = Callable[[np.ndarray], np.ndarray]
 Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def newton(
-    residual: Residual, step: Step, x: np.ndarray, *, tolerance: float, report: NewtonReport, max_iterations: int = 20
+    residual: Residual, step: Step, x: np.ndarray, *, tolerance: float, report: NewtonReport, max_iterations: int = 30
 ) -> np.ndarray:
     """Solve residual(x) = 0.
 
@@ -49,13 +57,15 @@ def newton(
     while not norms[-1] <= tolerance:
         if len(norms) > max_iterations or not norms[-1] <= 1e3 * max(norms[0], tolerance):
             raise _failure(norms, "no convergence")
+        if len(norms) > FREE_STEPS + PATIENCE and norms[-1] > 0.5 * norms[-1 - PATIENCE]:
+            raise _failure(norms, "it crawls")
         try:
             dx = step(x, r)
         except FloatingPointError as error:
             raise _failure(norms, f"singular tangent ({error})") from error
         x, r = _line_search(residual, x, r, dx, norms)
-        report.iterations += 1
         norms.append(float(np.linalg.norm(r)))
+        report.count(norms[-1])
     return x
 
 
@@ -114,8 +124,8 @@ def minimise(
                 break
             continue
         x, E, r = trial, E_trial, residual(trial)
-        report.iterations += 1
         norms.append(float(np.linalg.norm(r)))
+        report.count(norms[-1])
         damping *= 0.1 if norms[-1] < 0.5 * norms[-2] else 0.4
     raise _failure(norms, "damped Newton ran out of iterations")
 
@@ -138,26 +148,27 @@ def ramp(
     x: np.ndarray,
     report: NewtonReport,
     smallest: float = 1.0 / 512.0,
+    max_iterations: int = 120,
 ) -> np.ndarray:
     """Walk a load factor from 0 to 1 in adaptive steps.
 
-    ``advance(x, factor)`` returns the solution at that factor or raises ConvergenceError; a failed step is halved, a
-    step that succeeds lets the next one double.
+    ``advance(x, factor)`` returns the solution at that factor or raises ConvergenceError; a failed step is halved, two
+    steps that succeed let the next one double.
 
     Raises
     ------
     ConvergenceError
-        When the step has become smaller than ``smallest``, with all that was tried.
+        When the step has become smaller than ``smallest`` or the iterations run out, with all that was tried.
     """
-    reached, size = 0.0, 1.0
+    reached, size, streak = 0.0, 1.0, 0
     while reached < 1.0:
         target = min(1.0, reached + size)
         try:
             x = advance(x, target)
         except ConvergenceError as error:
             report.history.append(f"load factor {reached:.4g} -> {target:.4g}: {error.history[-1]}")
-            size *= 0.5
-            if size < smallest:
+            size, streak = 0.5 * (target - reached), 0
+            if size < smallest or report.iterations > max_iterations:
                 raise ConvergenceError(
                     f"No equilibrium found beyond load factor {reached:.4g}: try stiffer tissue, a finer mesh or a smaller "
                     "gravity.",
@@ -166,5 +177,6 @@ def ramp(
             continue
         report.load_steps += 1
         report.history.append(f"load factor {reached:.4g} -> {target:.4g}: converged")
-        reached, size = target, 2.0 * size
+        reached, streak = target, streak + 1
+        size *= 2.0 if streak > 1 else 1.0
     return x

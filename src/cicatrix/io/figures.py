@@ -88,7 +88,10 @@ def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tupl
         ax.set_title(name)
         ax.set_xticks(range(0, 361, 90))
         ax.grid(alpha=0.3)
-    for ax in axes[-1]:
+    for ax in axes.flat[len(profiles) :]:
+        ax.remove()
+    for ax in axes.flat[max(len(profiles) - columns, 0) : len(profiles)]:
+        ax.tick_params(labelbottom=True)
         ax.set_xlabel("angle around the cavity [degrees]")
     for ax in axes[:, 0]:
         ax.set_ylabel("strain energy density [kPa]")
@@ -153,8 +156,8 @@ def outline_figure(
             ax.plot(ends[..., 0].T, ends[..., 1].T, color=WOUND, linewidth=1.0)
             ax.plot([], [], color=WOUND, label="resection edge, healed")
         ax.set_title(position)
-        ax.legend(fontsize=8, loc="lower left")
         _dress(ax, planned)
+    figure.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=4)
     return figure
 
 

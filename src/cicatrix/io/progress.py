@@ -44,8 +44,8 @@ class Progress:
     def begin(self, name: str) -> None:
         """Hear that a stage starts."""
 
-    def update(self, fraction: float, text: str = "") -> None:
-        """Hear how much of the innermost stage is done, 0 to 1, and a word on it."""
+    def update(self, fraction: float | None, text: str = "") -> None:
+        """Hear how much of the innermost stage is done, 0 to 1 (None: as much as before), and a word on it."""
 
     def end(self, name: str) -> None:
         """Hear that a stage is over."""

@@ -16,6 +16,7 @@ from ..geometry.volume import Volume
 from ..healing.automaton import AutomatonState
 from ..image.phantom import phantom
 from ..image.segment import Segmentation, from_labels, segment
+from ..mechanics.equilibrium import Equilibrium
 from ..study.case import LumpectomyCase
 from ..study.lumpectomy import (
     Anatomy,
@@ -168,7 +169,7 @@ class _Lumpectomy:
         with self.progress.stage("mesh"):
             planned = plan(self.case, anatomy)
             self.folder.save_figure("section", figures.section_figure(planned, anatomy))
-        equilibrium = equilibrium_of(self.case)
+        equilibrium = self._equilibrium()
         with self.progress.stage("unload"):
             X, report = equilibrium.unloaded(
                 planned.intact, planned.x_imaged, planned.gravity(self.case.image.position)
@@ -188,6 +189,9 @@ class _Lumpectomy:
             self._visit(planned, cycle, state, FRESH)
             self._record(planned, cycle, state)
         return planned, cycle, state
+
+    def _equilibrium(self) -> Equilibrium:
+        return equilibrium_of(self.case, lambda words: self.progress.update(None, words))
 
     @property
     def _home(self) -> str:
@@ -274,7 +278,7 @@ class _Lumpectomy:
         planned = plan_from_arrays(self.case, _part(arrays, "plan."))
         self.shapes = {tuple(name.split(".", 1)): x for name, x in _part(arrays, "shape.").items()}
         X = arrays["X"]
-        cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium_of(self.case))
+        cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], self._equilibrium())
         width = cycle.automaton.lattice.shape[-1]
         self.fronts = list(np.unpackbits(arrays["fronts"], axis=-1, count=width).astype(bool))
         self.rows = [{k: np.nan if v is None else v for k, v in row.items()} for row in scalars["rows"]]

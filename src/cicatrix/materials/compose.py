@@ -16,6 +16,10 @@ class Sum(EnergyMaterial):
         """Sum of the parts' energies: F (..., 3, 3) [1] -> (...) [kPa]."""
         return sum(part.energy(F, s) for part, s in zip(self.parts, state or ((),) * len(self.parts), strict=True))  # pyright: ignore[reportReturnType]
 
+    def volume_at_rest(self) -> Array:
+        """That of the first part, which is to be the one that bears volume change."""
+        return self.parts[0].volume_at_rest()
+
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The parts' histories, in order."""
         return tuple(part.initial_state(shape) for part in self.parts)

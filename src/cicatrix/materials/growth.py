@@ -32,6 +32,10 @@ class NaturalConfiguration(EnergyMaterial):
         """Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
         return det(self.F_n) * self.law.energy(product(F, inv(self.F_n)), state)
 
+    def volume_at_rest(self) -> Array:
+        """Volume ratio of the natural configuration (...) [1]."""
+        return det(self.F_n) * self.law.volume_at_rest()
+
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The law's own history."""
         return self.law.initial_state(shape)

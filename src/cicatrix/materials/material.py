@@ -51,6 +51,10 @@ class EnergyMaterial(Law):
         """Strain energy per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
         raise NotImplementedError
 
+    def volume_at_rest(self) -> Array:
+        """Volume ratio of the stress-free state (...) [1]: about where a solver may look for the loaded one."""
+        return jnp.ones(())
+
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """No history unless the law says otherwise."""
         return ()

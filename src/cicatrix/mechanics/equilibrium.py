@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -17,7 +17,7 @@ from .body import Body
 from .elements import Linearised
 
 REUSE_BELOW = 0.05  # a step that brings the residual below this share earns its tangent another one
-START_VOLUME = 0.01  # how far from 1 the volume ratio of a starting shape is believed
+START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
 
 
 class Equilibrium:
@@ -27,10 +27,12 @@ class Equilibrium:
     ----------
     relative_tolerance : float
         Bound on the residual over the weight of the body (Euclidean norms) [1].
+    tell : callable, optional
+        Hears a few words on each iteration.
     """
 
-    def __init__(self, relative_tolerance: float = 1e-8) -> None:
-        self.relative_tolerance = relative_tolerance
+    def __init__(self, relative_tolerance: float = 1e-8, tell: Callable[[str], None] | None = None) -> None:
+        self.relative_tolerance, self.tell = relative_tolerance, tell
         self._linear: dict[tuple[str, bool], LinearSolver] = {}
 
     @property
@@ -52,8 +54,9 @@ class Equilibrium:
         gravity : (3,) array [mm/s^2]
             Acceleration in the section's axes.
         start : (n_nodes, 3) array [mm], optional
-            A nearby equilibrium; tried first. Then gravity is ramped up from the unloaded shape, and where Newton's
-            method fails even in small steps (a slender breast that buckles), potential energy is minimised.
+            A nearby equilibrium; tried first, at once and then letting its out-of-balance forces go little by little.
+            Then gravity is ramped up from the unloaded shape, and where Newton's method fails even in small steps (a
+            slender breast that buckles), potential energy is minimised.
 
         Returns
         -------
@@ -65,14 +68,14 @@ class Equilibrium:
         ConvergenceError
             With everything that was tried.
         """
-        report = NewtonReport()
-        if start is not None:
-            try:
-                return self._newton(_Problem(body, X, start, gravity, gravity), report), report
-            except ConvergenceError as error:
-                report.history.append(f"from the nearby shape: {error.history[-1]}")
-        else:
+        report = NewtonReport(tell=self.tell)
+        if start is None:
             start = X
+        else:
+            try:
+                return self._from_nearby(_Problem(body, X, start, gravity, gravity), report), report
+            except ConvergenceError:
+                report.history.append("from the unloaded shape")
         reached = np.where(body.active_nodes[:, None], X, start)
 
         def advance(x: np.ndarray, factor: float) -> np.ndarray:
@@ -88,6 +91,16 @@ class Equilibrium:
                 return self._minimise(_Problem(body, X, reached, gravity, gravity), report), report
             except ConvergenceError as error:
                 raise ConvergenceError(str(error), report.history + error.history) from error
+
+    def _from_nearby(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
+        """Newton from a shape that is near; what is out of balance there is let go little by little, if it must be."""
+        body = problem.body
+        out_of_balance = problem.free_part(body.residual(problem.X, problem.x, problem.gravity, problem.volume_ratios))
+
+        def advance(x: np.ndarray, let_go: float) -> np.ndarray:
+            return self._newton(replace(problem, x=x, held=(1.0 - let_go) * out_of_balance), report)
+
+        return ramp(advance, problem.x, report, smallest=1.0 / 16.0)
 
     def unloaded(self, body: Body, x: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, NewtonReport]:
         """Find the unloaded shape of a body whose loaded shape is known.
@@ -108,7 +121,7 @@ class Equilibrium:
         ConvergenceError
             With everything that was tried.
         """
-        report = NewtonReport()
+        report = NewtonReport(tell=self.tell)
 
         def advance(X: np.ndarray, factor: float) -> np.ndarray:
             return self._newton_reference(_Problem(body, x, X, factor * gravity, gravity), report)
@@ -127,7 +140,7 @@ class Equilibrium:
 
         def residual(z: np.ndarray) -> np.ndarray:
             x, J_bar = problem.positions(z[:n]), z[n:].reshape(shape)
-            r = problem.free_part(body.residual(problem.X, x, problem.gravity, J_bar))
+            r = problem.free_part(body.residual(problem.X, x, problem.gravity, J_bar)) - problem.held
             return np.concatenate([r, scale * (body.dilation(problem.X, x) - J_bar).ravel()])
 
         def linearise(z: np.ndarray) -> tuple[LinearSolver, Linearised]:
@@ -146,8 +159,7 @@ class Equilibrium:
             dJ = np.einsum("eqm,em->eq", elements.volume_rate, moved.reshape(shape[0], -1)) + gap
             return np.concatenate([du, dJ.ravel()])
 
-        J_start = np.clip(body.dilation(problem.X, problem.x), 1.0 - START_VOLUME, 1.0 + START_VOLUME)
-        z = np.concatenate([problem.x.reshape(-1)[problem.free], J_start.ravel()])
+        z = np.concatenate([problem.x.reshape(-1)[problem.free], problem.volume_ratios.ravel()])
         z = newton(residual, step, z, tolerance=self.relative_tolerance * problem.weight, report=report)
         if kept.value is not None and kept.value[0].n_negative:
             raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
@@ -227,6 +239,7 @@ class _Problem:
     x: np.ndarray
     gravity: np.ndarray
     full: np.ndarray
+    held: np.ndarray | float = 0.0  # force on the free degrees of freedom that still holds the body back
 
     @property
     def in_plane(self) -> bool:
@@ -247,6 +260,12 @@ class _Problem:
         """Norm of the nodal weights [mN/mm]: what the residual is measured against."""
         mass = self.body.lumped_mass(self.X)
         return float(np.linalg.norm(mass) * max(np.linalg.norm(self.full), 1.0))
+
+    @cached_property
+    def volume_ratios(self) -> np.ndarray:
+        """Volume ratios to start from: those of x, but not far from rest (n_elements, n_qp) [1]."""
+        rest = np.asarray(self.body.law.volume_at_rest())
+        return rest * np.clip(self.body.dilation(self.X, self.x) / rest, 1.0 - START_VOLUME, 1.0 + START_VOLUME)
 
     def positions(self, values: np.ndarray) -> np.ndarray:
         """All positions (n_nodes, 3) from the free ones."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -260,9 +260,9 @@ def _tissue(case: LumpectomyCase, anatomy: Anatomy, section: Section, space: Spa
     return Tissue(shares @ moduli[:, 0], shares @ moduli[:, 1], shares @ density)
 
 
-def equilibrium_of(case: LumpectomyCase) -> Equilibrium:
-    """The mechanical solver that the case asks for."""
-    return Equilibrium(case.solver.relative_tolerance)
+def equilibrium_of(case: LumpectomyCase, tell: Callable[[str], None] | None = None) -> Equilibrium:
+    """The mechanical solver that the case asks for; ``tell`` hears of its iterations."""
+    return Equilibrium(case.solver.relative_tolerance, tell)
 
 
 def lattice_on(case: LumpectomyCase, planned: Plan, X: np.ndarray) -> tuple[Automaton, SiteMap]:
