@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -29,11 +30,11 @@ def directions() -> dict[str, np.ndarray]:
     return turned | {"upright": np.array([0.0, 0.0, -g])}
 
 
-def measure() -> tuple[dict[str, np.ndarray], dict]:
+def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tuple[dict[str, np.ndarray], dict]:
     """Mean energies on the edge, one row per phantom (seed), one column per direction; profiles of the first."""
     before, after, spread, pictures = [], [], [], {}
-    for seed in SEEDS:
-        case = load_case(HERE / "case.toml", [f"run.seed={seed}"])
+    for seed in seeds:
+        case = load_case(HERE / "case.toml", [*overrides, f"run.seed={seed}"])
         planned, cycle = prepare(case, anatomy_of(case)[0])
         rows = []
         for name, gravity in directions().items():
@@ -41,8 +42,7 @@ def measure() -> tuple[dict[str, np.ndarray], dict]:
             fresh = cycle.body(cycle.unhealed(x_fresh))
             profiles = edge_profile(planned, planned.intact, cycle.X, x), edge_profile(planned, fresh, cycle.X, x_fresh)
             rows.append([profiles[0][1].mean(), profiles[1][1].mean(), profiles[1][1].max() / profiles[1][1].mean()])
-            if seed == SEEDS[0]:
-                pictures[name] = profiles
+            pictures.setdefault(name, profiles)
         a, b, c = np.array(rows).T
         before.append(a)
         after.append(b)

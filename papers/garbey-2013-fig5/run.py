@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -61,9 +62,9 @@ def relative_roundness(cycle: HealingCycle, fronts: list[np.ndarray]) -> float:
     return closure.roundness(lattice, half) / closure.roundness(lattice, fronts[0])
 
 
-def measure(seeds: range = SEEDS) -> tuple[dict[str, np.ndarray], tuple]:
+def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tuple[dict[str, np.ndarray], tuple]:
     """All numbers, one per seed, and what the picture needs."""
-    case = load_case(HERE / "case.toml")
+    case = load_case(HERE / "case.toml", overrides)
     anatomy, _ = anatomy_of(case)
     planned, cycle = prepare(case, anatomy)
     names = "round early late days_one days_two asym_one asym_two drift_one drift_two"

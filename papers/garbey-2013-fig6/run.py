@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +22,12 @@ SEEDS = range(1, 6)
 SHOWN = 4  # a cycle in so many is drawn
 
 
-def measure() -> tuple[dict[str, np.ndarray], tuple]:
+def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tuple[dict[str, np.ndarray], tuple]:
     """Shape numbers of the fresh and of the healed breast, one per seed of the automaton, and the outlines of the last."""
-    case = load_case(HERE / "case.toml")
+    case = load_case(HERE / "case.toml", overrides)
     planned, cycle = prepare(case, anatomy_of(case)[0])
     out: dict[str, list[float]] = {"area": [], "retraction": [], "nipple": [], "fresh": []}
-    for seed in SEEDS:
+    for seed in seeds:
         healing = reseeded(cycle, seed)
         fresh = state = healing.start()
         named = [("before surgery", cycle.x_intact), ("fresh", fresh.x)]

@@ -13,6 +13,7 @@ from ..core.errors import InputError
 from .section import Raster
 
 INSIDE = 3  # MMG's reference number for the negative side of a level set
+HAUSDORFF_MM = 0.2  # a straight edge leaves the outline by no more: below what an image resolves
 Function = Callable[[np.ndarray], np.ndarray]
 
 
@@ -64,16 +65,17 @@ def mesh_section(
     InputError
         If nothing of the body or of the cavity is left on the mesh, or an element is degenerate.
     """
-    start = min(edge_mm, 2.0)
+    start = min(cavity_edge_mm, 1.0)
     points, triangles = _triangular_grid(low - 3 * start, high + 3 * start, start)
     mesh = mmgpy.MmgMesh2D(points, triangles)
-    points, triangles, refs = _cut(mesh, body(points), hmin=0.25 * start, hmax=start, hausd=0.05)
+    points, triangles, refs = _cut(mesh, body(points), hmin=0.25 * start, hmax=start, hausd=HAUSDORFF_MM)
     points, triangles = _keep(points, triangles[refs == INSIDE])
     border = cavity if cavity is not None else (lambda p: np.full(len(p), 1e3))
     mesh = mmgpy.MmgMesh2D(points, triangles.astype(np.int32))
     distance = border(points)
     mesh["metric"] = _sizes(distance, edge_mm, cavity_edge_mm)[:, None]
-    points, triangles, refs = _cut(mesh, distance, hmin=0.3 * cavity_edge_mm, hmax=edge_mm, hausd=0.05, hgrad=1.3)
+    sizes = {"hmin": 0.3 * cavity_edge_mm, "hmax": edge_mm, "hgrad": 1.3}
+    points, triangles, refs = _cut(mesh, distance, hausd=HAUSDORFF_MM, **sizes)
     _check(points, triangles, cavity is None or bool((refs == INSIDE).any()))
     out = skfem.MeshTri(np.ascontiguousarray(points.T), np.ascontiguousarray(triangles.T.astype(np.int64)))
     return out.with_subdomains({"cavity": np.flatnonzero(refs == INSIDE)})

@@ -133,7 +133,7 @@ def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
     centre2 = section.from_patient(centre)[:2]
     inside = _breast(anatomy, section, raster, centre2)
     body = signed_distance(inside, raster.pixel_mm)
-    cavity = _cavity(body, raster, centre2, radius)
+    cavity = _cavity(body, raster, centre2, radius, case.mesh.cavity_edge_mm)
     points = raster.points[inside]
     mesh = mesh_section(
         interpolant(body, raster),
@@ -193,8 +193,11 @@ def _breast(anatomy: Anatomy, section: Section, raster: Raster, centre: np.ndarr
     return component_at(mask, row, column)
 
 
-def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float):
-    """Signed distance of the cavity: the disc, kept below a flap of skin."""
+def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float, edge_mm: float):
+    """Signed distance of the cavity: the disc, kept below a flap of skin.
+
+    The mesh makes a polygon of it; its corners lie on a circle so much larger that the polygon has the disc's area.
+    """
     depth = -float(interpolant(body, raster)(centre[None])[0])
     widest = float(-body.min())
     if radius > widest:
@@ -206,8 +209,8 @@ def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float)
         raise InputError(
             f"resection.centre_mm must lie at least {LEAST_SKIN_FLAP_MM:g} mm inside the breast; it lies {depth:.1f} mm inside."
         )
-    distance = interpolant(body, raster)
-    return lambda p: np.maximum(np.hypot(*(p - centre).T) - radius, distance(p) + LEAST_SKIN_FLAP_MM)
+    distance, corners = interpolant(body, raster), radius + edge_mm**2 / (12.0 * radius)
+    return lambda p: np.maximum(np.hypot(*(p - centre).T) - corners, distance(p) + LEAST_SKIN_FLAP_MM)
 
 
 def _is_wall(labels: Volume, section: Section, raster: Raster):

@@ -1,0 +1,37 @@
+"""The papers' scripts: coarse, with two seeds, in every run; as they are in the slow ones."""
+
+import csv
+import importlib.util
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+PAPERS = Path(__file__).parents[2] / "papers"
+FIGURES = ["garbey-2013-fig2", "garbey-2013-fig5", "garbey-2013-fig6"]
+COARSE = ["image.voxel_mm=3.0", "healing.pitch_um=100", "mesh.edge_mm=6.0", "mesh.cavity_edge_mm=2.0"]
+
+
+def script(name: str):
+    spec = importlib.util.spec_from_file_location(name.replace("-", "_"), PAPERS / name / "run.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_claims_come_out_on_a_coarse_mesh_too(name):
+    paper = script(name)
+    with (PAPERS / name / "expected.csv").open() as file:
+        expected = {row["claim"]: row["holds"] == "yes" for row in csv.DictReader(file)}
+    rows = paper.table(paper.measure((1, 2), COARSE)[0])
+    assert {claim: holds for claim, _, holds in rows} == expected, rows
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", [*FIGURES, "clinic-closure"])
+def test_the_whole_table_is_as_expected(name, tmp_path):
+    """Each script says itself, by its exit code, whether its table is that of expected.csv."""
+    done = subprocess.run([sys.executable, PAPERS / name / "run.py"], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
