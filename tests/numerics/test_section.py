@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import InputError
-from cicatrix.geometry.labels import Label
+from cicatrix.geometry.labels import TISSUES, Label
 from cicatrix.geometry.meshing import label_borders, mesh_section
 from cicatrix.geometry.section import Section
 from cicatrix.geometry.volume import Volume
@@ -133,3 +133,16 @@ def test_the_plan_of_a_half_disc(half_disc):
     assert X[planned.outline[planned.nipple], 1] == pytest.approx(-30.0, abs=1.0)
     assert abs(X[planned.outline[planned.nipple], 0]) < 4.0
     assert len(set(planned.outline.tolist())) == len(planned.outline)
+
+
+def test_skin_weighs_and_bears_no_load_in_the_bulk(half_disc):
+    """Where a voxel is half skin, density is the mean of both, stiffness that of the rest."""
+    anatomy = half_disc(tumour=False)
+    inside = anatomy.labels.values == Label.FAT
+    anatomy.probabilities.values[TISSUES.index(Label.FAT)][inside] = 0.5
+    anatomy.probabilities.values[TISSUES.index(Label.SKIN)][inside] = 0.5
+    tissue = plan(case_of(centre_mm=(0.0, -13.0, 0.0), radius_mm=7.0), anatomy).tissue
+    deep = np.abs(tissue.density - tissue.density.max()) < 1e-12
+    assert deep.mean() > 0.5
+    assert tissue.density.max() == pytest.approx(0.5 * (930 + 1090) * 1e-9, rel=1e-3)
+    np.testing.assert_allclose(tissue.mu, 3.25 / (2 * 1.495), rtol=1e-6)

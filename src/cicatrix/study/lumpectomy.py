@@ -251,16 +251,20 @@ def _filled(
 
 
 def _tissue(case: LumpectomyCase, anatomy: Anatomy, section: Section, space: Space) -> Tissue:
-    """Mix constants by probability at the quadrature points; skin is a membrane, so its share goes to the others."""
+    """Mix constants by probability at the quadrature points; skin weighs there, but bears load as a membrane."""
     points = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])[..., :2]
     shares = np.moveaxis(anatomy.probabilities.sample(section.to_patient(points)), 0, -1)
-    shares[..., TISSUES.index(Label.SKIN)] = 0.0
-    shares[..., TISSUES.index(Label.FAT)] += 1e-3  # where there is nothing but skin
-    shares /= shares.sum(axis=-1, keepdims=True)
+    shares[..., TISSUES.index(Label.FAT)] += 1e-3  # where there is nothing at all
+    bearing = np.where(np.array(TISSUES) == Label.SKIN, 0.0, shares)
     parts = [getattr(case.tissue, label.name.lower()) for label in TISSUES]
-    moduli = np.array([moduli_from_young(p.E_kPa, p.nu) for p in parts])
-    density = np.array([density_kg_mm3(p.density_kg_m3) for p in parts])
-    return Tissue(shares @ moduli[:, 0], shares @ moduli[:, 1], shares @ density)
+    mu, kappa = _mean(bearing, np.array([moduli_from_young(p.E_kPa, p.nu) for p in parts]))
+    (density,) = _mean(shares, np.array([[density_kg_mm3(p.density_kg_m3)] for p in parts]))
+    return Tissue(mu, kappa, density)
+
+
+def _mean(shares: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Mean of some values of each tissue, by shares: (..., n_tissues), (n_tissues, n) -> (n, ...)."""
+    return np.moveaxis(shares @ values / shares.sum(axis=-1, keepdims=True), -1, 0)
 
 
 def equilibrium_of(case: LumpectomyCase, tell: Callable[[str], None] | None = None) -> Equilibrium:

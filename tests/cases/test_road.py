@@ -1,0 +1,48 @@
+"""The whole road on a coarse case: from a label map, as a person may have corrected it, to a healed shape."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cicatrix
+from cicatrix.image.phantom import phantom
+from cicatrix.io.images import read_labels, write_volume
+
+CASE = """
+kind = "lumpectomy"
+dimension = 2
+[image]
+labels = "labels.nii.gz"
+[healing]
+pitch_um = 100.0
+[mesh]
+edge_mm = 6.0
+cavity_edge_mm = 2.0
+[outcome]
+positions = ["upright"]
+visits_weeks = [2]
+"""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("road")
+    _, labels = phantom(spacing_mm=3.0, seed=4, side="left", tumour_diameter_mm=14.0)
+    write_volume(folder / "labels.nii.gz", labels)
+    (folder / "case.toml").write_text(CASE)
+    return cicatrix.simulate(cicatrix.load_case(folder / "case.toml"), out=folder / "run"), labels
+
+
+def test_a_label_map_heals(run):
+    results, _ = run
+    assert results.history["closed_fraction"][-1] == 1.0
+    assert 20 < results.outcome["time_to_closure_days"].value < 200
+    assert "labels imported" in json.loads((results.folder / "manifest.json").read_text())["notes"][0]
+
+
+def test_what_was_imported_is_what_was_used(run):
+    results, labels = run
+    np.testing.assert_array_equal(read_labels(results.folder / "labels.nii.gz").values, labels.values)
+    first = results.history["open_area_mm2"][0]
+    assert first == pytest.approx(np.pi * 12.0**2, rel=0.03)
