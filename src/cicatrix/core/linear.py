@@ -81,11 +81,9 @@ class Pardiso:
     def factor(self, matrix: sp.csr_array) -> None:
         """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
         _check_finite(matrix)
-        self.n_factorizations += 1
         self._matrix = self._upper_triangle(matrix) if self._symmetric else sp.csr_matrix(matrix)
-        analysed = getattr(self, "_analysed", False)
-        self._solver.set_phase(22 if analysed else 12)
-        self._analysed = True
+        self._solver.set_phase(12 if self.n_factorizations == 0 else 22)
+        self.n_factorizations += 1
         try:
             self._solver._call_pardiso(self._matrix, np.zeros((matrix.shape[0], 1)))
         except pypardiso.pardiso_wrapper.PyPardisoError as error:
