@@ -1,0 +1,37 @@
+"""The examples on real images run to closure (slow; skipped where the image data is not)."""
+
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import cicatrix
+from cicatrix.core.errors import InputError
+from cicatrix.io.paths import data_folder
+
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
+
+
+@pytest.fixture(scope="module")
+def data():
+    try:
+        return data_folder()
+    except InputError as error:
+        pytest.skip(f"the image data {error}")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def test_the_wound_closes_on_a_real_image(path, data, tmp_path):
+    overrides = []
+    if "dicom" in path.stem:
+        with zipfile.ZipFile(data / "mimbcd_uta4p1_dicom12.zip") as archive:
+            archive.extractall(tmp_path / "series")
+        overrides = [f'image.path="{tmp_path / "series"}"']
+    results = cicatrix.simulate(cicatrix.load_case(path, overrides), out=tmp_path / "run")
+    assert results.history["closed_fraction"][-1] == 1.0
+    assert 40 < results.outcome["time_to_closure_days"].value < 100
+    assert (results.history["newton_iterations"][1:] < 10).all()
+    written = b"".join(f.read_bytes() for f in (tmp_path / "run").rglob("*") if f.suffix in {".json", ".csv", ".pvd"})
+    for name in (b"PatientName", b"PatientID", b"PatientBirthDate"):
+        assert name not in written
