@@ -7,7 +7,8 @@ import time
 
 import numpy as np
 
-from cicatrix.cli import demo, main, run
+import cicatrix
+from cicatrix.cli import main
 from cicatrix.core.errors import ConvergenceError, InputError
 from cicatrix.io.cases import case_table, input_files
 from cicatrix.io.results import Quantity, RunFolder, read_results
@@ -45,5 +46,5 @@ def simulate(case, out=None, resume=False, progress=None):
     return read_results(out)
 
 
-demo.simulate = run.simulate = simulate
+cicatrix.simulate = simulate
 sys.exit(main.main())

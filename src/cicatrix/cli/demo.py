@@ -6,8 +6,9 @@ import argparse
 from importlib import resources
 from pathlib import Path
 
+import cicatrix
+
 from ..io.cases import load_case
-from ..io.runs import simulate
 from .headline import print_headline
 from .progress import make_progress
 
@@ -30,7 +31,7 @@ def run(args: argparse.Namespace) -> int:
         case = load_case(path)
     progress = make_progress()
     try:
-        results = simulate(case, args.out, True, progress)
+        results = cicatrix.simulate(case, args.out, True, progress)
     finally:
         progress.close()
     print_headline(results)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+import cicatrix
+
 from ..io.cases import load_case
-from ..io.runs import simulate
 from .arguments import add_case, add_overrides
 from .headline import print_headline
 from .progress import make_progress
@@ -31,7 +32,7 @@ def run(args: argparse.Namespace) -> int:
     case = load_case(args.case, args.set)
     progress = make_progress()
     try:
-        results = simulate(case, args.out or Path("runs") / args.case.stem, args.resume, progress)
+        results = cicatrix.simulate(case, args.out or Path("runs") / args.case.stem, args.resume, progress)
     finally:
         progress.close()
     print_headline(results)
