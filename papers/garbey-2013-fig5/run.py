@@ -37,6 +37,11 @@ def at_half(rows: list[dict], name: str) -> float:
     return float(np.interp(0.5, [r["closed_fraction"] for r in rows], [r[name] for r in rows]))
 
 
+def nearest_half(rows: list[dict], fronts: list[np.ndarray]) -> np.ndarray:
+    """Open sites of the cycle that is nearest to half closure."""
+    return fronts[int(np.argmin([abs(r["closed_fraction"] - 0.5) for r in rows]))]
+
+
 def closed_alone(cycle: HealingCycle) -> tuple[np.ndarray, np.ndarray, list[np.ndarray]]:
     """Automaton without feedback, step by step: days, equivalent radius [mm], open sites."""
     automaton, state = cycle.automaton, cycle.automaton.initial_state()
@@ -67,7 +72,7 @@ def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tupl
     case = load_case(HERE / "case.toml", overrides)
     anatomy, _ = anatomy_of(case)
     planned, cycle = prepare(case, anatomy)
-    names = "round early late days_one days_two asym_one asym_two drift_one drift_two"
+    names = "round early late days_one days_two asym_one asym_two own_one own_two drift_one drift_two"
     out: dict[str, list[float]] = {name: [] for name in names.split()}
     for seed in seeds:
         one = reseeded(cycle, seed, 0.0)
@@ -79,6 +84,9 @@ def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tupl
         shift = np.linalg.norm(closure.centroid_shift(one.automaton.lattice, half, fronts[0]))
         values = (relative_roundness(one, fronts), early, late, days[-1], two_rows[-1]["time_days"])
         values += (closure.asymmetry(half, centre), at_half(two_rows, "wound_asymmetry"))
+        values += tuple(
+            closure.asymmetry(f, closure.wound_centre(f)) for f in (half, nearest_half(two_rows, two_fronts))
+        )
         values += (shift, at_half(two_rows, "wound_drift_mm"))
         for name, value in zip(out, values, strict=True):
             out[name].append(float(value))
@@ -107,6 +115,11 @@ def table(m: dict[str, np.ndarray]) -> list[tuple[str, str, bool]]:
             "with feedback under gravity the symmetry is lost (asymmetry at half closure, every seed above all without)",
             f"{show('asym_two')} with, {show('asym_one')} without",
             bool(m["asym_two"].min() > m["asym_one"].max()),
+        ),
+        (
+            "so is the symmetry about the wound's own, drifted centre (every seed above all without)",
+            f"{show('own_two')} with, {show('own_one')} without",
+            bool(m["own_two"].min() > m["own_one"].max()),
         ),
         (
             "with feedback the wound's centre drifts (at half closure, every seed above all without)",

@@ -119,6 +119,10 @@ FAULTS = {
         "[mesh]\ncavity_edge_mm = 9.0",
         "mesh.cavity_edge_mm must be at most edge_mm (3); got 9",
     ),
+    "no position": (
+        "[outcome]\npositions = []",
+        'outcome.positions must name at least one of "upright", "supine", "prone"',
+    ),
 }
 
 
@@ -133,7 +137,8 @@ def test_one_fault_one_sentence(name, write):
 def test_chest_wall_is_a_plane_or_points(write):
     wall = PHANTOM + "[image.chest_wall]\n"
     assert check_case(write(wall + "point_mm = [0, 0, 0]\nnormal = [0, -1, 0]")) == []
-    assert check_case(write(wall + "points_mm = [[0, 0, 0], [1, 0, 0]]")) == []
+    assert check_case(write(wall + "points_mm = [[0, 0, 0], [1, 0, 0], [0, 0, 1], [1, 0, 1]]")) == []
+    assert "at least 4 points" in check_case(write(wall + "points_mm = [[0, 0, 0], [1, 0, 0]]"))[0]
     assert "belong together" in check_case(write(wall + "point_mm = [0, 0, 0]"))[0]
     assert "not be zero" in check_case(write(wall + "point_mm = [0, 0, 0]\nnormal = [0, 0, 0]"))[0]
     assert check_case(write(wall + "points_mm = [[0, 0], [1, 0]]"))[0].startswith("image.chest_wall.points_mm[0] must")

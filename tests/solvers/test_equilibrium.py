@@ -133,7 +133,7 @@ def test_a_start_far_out_of_balance_is_let_go_little_by_little(block, loaded):
     x, report = solver.loaded(block, X, -4.0 * SIDEWAYS, far)
     np.testing.assert_allclose(x[:, 1], solver.loaded(block, X, -4.0 * SIDEWAYS)[0][:, 1], rtol=0, atol=1e-5)
     assert any(line.startswith("load factor 0 -> 1: ") and "converged" not in line for line in report.history)
-    assert "from the unloaded shape" not in report.history
+    assert not any(line.startswith("downhill") for line in report.history)
 
 
 def test_tissue_laid_down_squeezed_is_at_rest_there(mesh, body_on):

@@ -15,7 +15,9 @@ from cicatrix.image import wall
 from cicatrix.image.classify import gland_probability
 from cicatrix.image.phantom import phantom
 from cicatrix.image.segment import from_labels, segment
+from cicatrix.io.cases import load_case
 from cicatrix.io.images import read_image, read_labels, write_volume
+from cicatrix.io.runs import anatomy_of
 
 DATA = Path(os.environ.get("CICATRIX_DATA", Path(__file__).parents[3] / "shared" / "data"))
 
@@ -113,6 +115,24 @@ def test_given_wall_takes_the_place_of_the_automatic_one():
     points = [(x, -20.0, z) for x in (20, 140) for z in (-50, 50)]
     same = segment(image, weighting="t1", side="left", chest_wall=points)
     assert dice(is_breast(same.labels.values), is_breast(found.labels.values)) > 0.99
+
+
+@pytest.mark.parametrize(
+    "wall",
+    [
+        "point_mm = [78.0, -20.0, 0.0]\nnormal = [0.0, -1.0, 0.0]",
+        "points_mm = [[20, -20, -50], [140, -20, -50], [20, -20, 50], [140, -20, 50]]",
+    ],
+)
+def test_a_case_hands_its_wall_on(wall, tmp_path):
+    (tmp_path / "case.toml").write_text(
+        'kind = "lumpectomy"\ndimension = 2\n[image]\nphantom = "half-ellipsoid"\nvoxel_mm = 3.0\n'
+        f"[image.chest_wall]\n{wall}\n"
+    )
+    anatomy, notes = anatomy_of(load_case(tmp_path / "case.toml"))
+    rows = np.flatnonzero(is_breast(anatomy.labels.values).any(axis=(0, 2)))
+    assert anatomy.labels.origin_mm[1] + rows[-1] * 3.0 == pytest.approx(-20, abs=3)
+    assert any("given" in note for note in notes)
 
 
 def test_imported_labels_are_kept_and_a_missing_chest_is_noted():

@@ -148,6 +148,7 @@ def ramp(
     x: np.ndarray,
     report: NewtonReport,
     smallest: float = 1.0 / 512.0,
+    first: float = 1.0,
     max_iterations: int = 120,
 ) -> np.ndarray:
     """Walk a load factor from 0 to 1 in adaptive steps.
@@ -160,7 +161,7 @@ def ramp(
     ConvergenceError
         When the step has become smaller than ``smallest`` or the iterations run out, with all that was tried.
     """
-    reached, size, streak = 0.0, 1.0, 0
+    reached, size, streak = 0.0, first, 0
     while reached < 1.0:
         target = min(1.0, reached + size)
         try:

@@ -24,6 +24,7 @@ from ..study.lumpectomy import (
     equilibrium_of,
     healing_cycle,
     last_cycle,
+    margin_mm,
     plan,
     plan_arrays,
     plan_from_arrays,
@@ -123,13 +124,13 @@ def _segment(
     if picture is None:
         raise InputError("image.path is missing: name an image, a label map by image.labels, or a phantom.")
     image = case.image
-    wall = image.chest_wall.model_dump(exclude_none=True) if image.chest_wall is not None else None
+    wall = image.chest_wall and (image.chest_wall.points_mm or image.chest_wall.model_dump(exclude_none=True))
     return segment(
         picture,
         weighting=image.weighting,
         side=image.side,
         position=image.position,
-        chest_wall=wall,
+        chest_wall=np.array(wall) if isinstance(wall, tuple) else wall,
         resection_centre_mm=centre,
         report=lambda stage, fraction: progress.update(fraction, stage),
     )
@@ -168,6 +169,11 @@ class _Lumpectomy:
             self.folder.note(note)
         with self.progress.stage("mesh"):
             planned = plan(self.case, anatomy)
+            margin, wanted = margin_mm(planned, anatomy), self.case.resection.margin_mm
+            if margin < wanted:
+                self.folder.note(
+                    f"the resection leaves {margin:.1f} mm around the tumour; resection.margin_mm is {wanted:g}"
+                )
             self.folder.save_figure("section", figures.section_figure(planned, anatomy))
         equilibrium = self._equilibrium()
         with self.progress.stage("unload"):

@@ -16,6 +16,7 @@ from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body
 from .elements import Linearised
 
+SMALLEST_STEP = 0.25  # of a load; below that, going downhill is cheaper
 REUSE_BELOW = 0.05  # a step that brings the residual below this share earns its tangent another one
 START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
 
@@ -54,9 +55,9 @@ class Equilibrium:
         gravity : (3,) array [mm/s^2]
             Acceleration in the section's axes.
         start : (n_nodes, 3) array [mm], optional
-            A nearby equilibrium; tried first, at once and then letting its out-of-balance forces go little by little.
-            Then gravity is ramped up from the unloaded shape, and where Newton's method fails even in small steps (a
-            slender breast that buckles), potential energy is minimised.
+            A nearby equilibrium; tried first, then the unloaded shape, then again letting its out-of-balance forces go
+            little by little. Without it gravity is ramped up from the unloaded shape. Where Newton's method fails
+            even in small steps (a slender breast that buckles), potential energy is minimised from there.
 
         Returns
         -------
@@ -69,38 +70,40 @@ class Equilibrium:
             With everything that was tried.
         """
         report = NewtonReport(tell=self.tell)
-        if start is None:
-            start = X
-        else:
+        problem = _Problem(body, X, X if start is None else start, gravity, gravity)
+        problem = replace(problem, x=np.where(body.active_nodes[:, None], X, problem.x))
+        by_gravity = _Path(
+            problem.x, lambda x, load: self._newton(replace(problem, x=x, gravity=load * gravity), report)
+        )
+        paths = [("the unloaded shape", by_gravity, {"smallest": SMALLEST_STEP})]
+        if start is not None:
+            nearby = self._let_go(replace(problem, x=start), report)
+            paths = [
+                ("the nearby shape", nearby, {"smallest": 1.0}),
+                ("the unloaded shape", by_gravity, {"smallest": 1.0}),
+                ("the nearby shape", nearby, {"first": 0.5, "smallest": SMALLEST_STEP}),
+            ]
+        for number, (name, path, steps) in enumerate(paths):
+            if number:
+                report.history.append(f"from {name}")
             try:
-                return self._from_nearby(_Problem(body, X, start, gravity, gravity), report), report
+                return ramp(path.advance, path.reached, report, **steps), report
             except ConvergenceError:
-                report.history.append("from the unloaded shape")
-        reached = np.where(body.active_nodes[:, None], X, start)
-
-        def advance(x: np.ndarray, factor: float) -> np.ndarray:
-            nonlocal reached
-            reached = self._newton(_Problem(body, X, x, factor * gravity, gravity), report)
-            return reached
-
+                continue
+        report.history.append("downhill in potential energy from there")
         try:
-            return ramp(advance, reached, report, smallest=0.25), report
-        except ConvergenceError:
-            report.history.append("downhill in potential energy from the last load factor")
-            try:
-                return self._minimise(_Problem(body, X, reached, gravity, gravity), report), report
-            except ConvergenceError as error:
-                raise ConvergenceError(str(error), report.history + error.history) from error
+            return self._minimise(replace(problem, x=paths[-1][1].reached), report), report
+        except ConvergenceError as error:
+            raise ConvergenceError(str(error), report.history + error.history) from error
 
-    def _from_nearby(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
-        """Newton from a shape that is near; what is out of balance there is let go little by little, if it must be."""
+    def _let_go(self, problem: _Problem, report: NewtonReport) -> _Path:
+        """Way from a shape that is near: what is out of balance there is held, and let go little by little."""
         body = problem.body
         out_of_balance = problem.free_part(body.residual(problem.X, problem.x, problem.gravity, problem.volume_ratios))
-
-        def advance(x: np.ndarray, let_go: float) -> np.ndarray:
-            return self._newton(replace(problem, x=x, held=(1.0 - let_go) * out_of_balance), report)
-
-        return ramp(advance, problem.x, report, smallest=1.0 / 16.0)
+        return _Path(
+            problem.x,
+            lambda x, share: self._newton(replace(problem, x=x, held=(1.0 - share) * out_of_balance), report),
+        )
 
     def unloaded(self, body: Body, x: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, NewtonReport]:
         """Find the unloaded shape of a body whose loaded shape is known.
@@ -213,6 +216,18 @@ class Equilibrium:
             self._linear[key] = linear_solver(symmetric=unknown == "x")
         self._linear[key].factor(matrix)
         return self._linear[key]
+
+
+class _Path:
+    """A way to an equilibrium: advance(x, share of the way) -> x; remembers what was reached."""
+
+    def __init__(self, start: np.ndarray, advance: Callable[[np.ndarray, float], np.ndarray]) -> None:
+        self.reached, self._advance = start, advance
+
+    def advance(self, x: np.ndarray, share: float) -> np.ndarray:
+        """Go on from x."""
+        self.reached = self._advance(x, share)
+        return self.reached
 
 
 class _Kept:

@@ -40,7 +40,7 @@ class Table(BaseModel):
 class ChestWall(Table):
     """Where the breast ends behind, when it is not to be found automatically.
 
-    Either a plane by ``point_mm`` and ``normal``, or a curve through ``points_mm``; image coordinates (LPS).
+    Either a plane by ``point_mm`` and ``normal``, or a surface through ``points_mm``; image coordinates (LPS).
     """
 
     point_mm: Vector | None = None
@@ -56,8 +56,8 @@ class ChestWall(Table):
             raise fault("normal", "and point_mm belong together: a plane needs both")
         if self.normal is not None and not any(self.normal):
             raise fault("normal", "must not be zero: it is the direction from the chest wall to the nipple")
-        if self.points_mm is not None and len(self.points_mm) < 2:
-            raise fault("points_mm", f"must hold at least 2 points; got {len(self.points_mm)}")
+        if self.points_mm is not None and len(self.points_mm) < 4:
+            raise fault("points_mm", f"must hold at least 4 points, for a surface; got {len(self.points_mm)}")
         return self
 
 
@@ -140,7 +140,10 @@ class Tissue(Table):
 
 
 class Resection(Table):
-    """What the surgeon removes: a ball; its centre left out is the tumour's centroid."""
+    """What the surgeon removes: a ball; its centre left out is the tumour's centroid.
+
+    A labelled tumour of which it leaves less than ``margin_mm`` around is noted in the manifest.
+    """
 
     centre_mm: Vector | None = None
     radius_mm: Positive = 12.0
@@ -189,6 +192,12 @@ class Outcome(Table):
 
     positions: tuple[Position, ...] = ("upright", "supine")
     visits_weeks: Ascending = (2.0, 6.0, 10.0, 26.0)
+
+    @model_validator(mode="after")
+    def _reports_something(self) -> Outcome:
+        if not self.positions:
+            raise fault("positions", 'must name at least one of "upright", "supine", "prone"')
+        return self
 
 
 class Mesh(Table):

@@ -147,6 +147,18 @@ def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
     return _filled(case, section, mesh, _tissue(case, anatomy, section, Space(mesh)), centre, radius)
 
 
+def margin_mm(planned: Plan, anatomy: Anatomy) -> float:
+    """Least distance from the labelled tumour to the edge of the resection's disc in this section [mm]; inf without tumour."""
+    if not (anatomy.labels.values == Label.TUMOUR).any():
+        return np.inf
+    raster = planned.section.raster(anatomy.labels, min(anatomy.labels.spacing_mm))
+    index = np.rint(anatomy.labels.voxel(planned.section.to_patient(raster.points))).astype(int)
+    index = np.clip(index, 0, np.array(anatomy.labels.shape) - 1)
+    tumour = anatomy.labels.values[tuple(np.moveaxis(index, -1, 0))] == Label.TUMOUR
+    away = np.linalg.norm(raster.points[tumour] - planned.centre_mm[list(planned.section.axes[:2])], axis=-1)
+    return float(planned.radius_mm - np.max(away, initial=-np.inf))
+
+
 def plan_arrays(planned: Plan) -> dict[str, np.ndarray]:
     """What ``plan_from_arrays`` needs to make the same plan again."""
     mesh, tissue = planned.mesh, planned.tissue
