@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from cicatrix.coupling.cycle import run
+from cicatrix.coupling.cycle import WELL_FILLED, run
 from cicatrix.coupling.deposition import Deposition
 from cicatrix.mechanics.body import compiled_variants, deformation_gradients
 from cicatrix.mechanics.equilibrium import Equilibrium
@@ -151,6 +151,20 @@ def test_cells_feel_the_energy_of_the_tissue(two_way):
     np.testing.assert_allclose((sums / np.maximum(counts, 1))[big], means[big], rtol=0.15)
     assert (W >= 0).all()
     assert state.W_ref == cycle.edge_energy(state) > 0
+
+
+def test_a_thinly_filled_element_does_not_raise_what_cells_feel(two_way):
+    """Cells in elements that are not well filled feel no more than the well-filled tissue does anywhere beside."""
+    cycle, states = two_way
+    thin_seen = 0
+    for state in states[1:]:
+        fraction = cycle.body(state).fraction
+        W, element = cycle.energy_at_sites(state), cycle.sites.element
+        well = np.append(fraction >= WELL_FILLED, False)[element]
+        thin = np.append((fraction > 0) & (fraction < WELL_FILLED), False)[element]
+        thin_seen += thin.sum()
+        assert W[thin].max(initial=0.0) <= W[well].max()
+    assert thin_seen > 10
 
 
 def test_loaded_deposition_is_born_free_of_stress(healed):

@@ -24,6 +24,7 @@ from ..mechanics.extension import Extension
 from .deposition import Deposition
 
 LEAST_FILLED = 0.05  # an element with less tissue than this share is out of the mechanics
+WELL_FILLED = 0.5  # an element with less is too soft, as a whole, to say what its cells feel
 
 
 @dataclass(frozen=True, eq=False)
@@ -217,10 +218,14 @@ class HealingCycle:
         return 1.0 - self.sites.count(self.open_sites(healing).ravel()) / np.maximum(total, 1)
 
     def energy_at_sites(self, state: TissueState) -> np.ndarray:
-        """Strain energy density of the tissue at every lattice site (n_sites,) [kPa], mapped back onto the reference."""
+        """Strain energy density of the tissue at every lattice site (n_sites,) [kPa], mapped back onto the reference.
+
+        Cells at the front feel the tissue they sit on: where an element is not well filled, the nearest that is counts.
+        The tissue of a thinly filled element lies along its wall, but as a mixture it is strained like a void.
+        """
         body, space = self.body(state), self.intact.frame.space
         coefficients = linear_fit(body.energy_density(self.X, state.x), body.volumes(self.X), space.table.points)
-        held = body.fraction > 0.0
+        held = body.fraction >= WELL_FILLED
         centres = self.X[space.element_nodes[:, :3], :2].mean(axis=1)
         nearest = np.flatnonzero(held)[cKDTree(centres[held]).query(centres[~held])[1]]
         coefficients[~held] = coefficients[nearest] * (1.0, 0.0, 0.0)

@@ -205,7 +205,7 @@ def _chest(
     surface = np.minimum(surface, last - 1.0)  # where the image ends first, its last voxels hold the breast
     columns = wall.foot(surface - skin, sign * (x_mm - midline) > 0, (coarse.spacing_mm[2], coarse.spacing_mm[0]))
     fine_surface = _refine(surface, coarse, flat)
-    fine_columns = _refine(ndi.gaussian_filter(columns.astype(float), 1.0), coarse, flat) > 0.5
+    fine_columns = _refine(ndi.gaussian_filter(columns.astype(float), 1.0), coarse, flat) > 0.2  # to the skin, and over
     return _axis(flat, 1)[None, :, None] > fine_surface[:, None, :], fine_columns, note
 
 
