@@ -52,7 +52,7 @@ def test_phantom_is_found(weighting, side, spacing, seed):
     labels = found.labels.values
     scores = dice(is_breast(labels), is_breast(truth.values)), dice(is_dense(labels), is_dense(truth.values))
     print(f"{weighting} {spacing} mm seed {seed}: body {scores[0]:.3f}, gland {scores[1]:.3f}")
-    assert scores[0] >= 0.97
+    assert scores[0] >= 0.98
     assert scores[1] >= 0.9
     assert (labels > 0).sum() == pytest.approx(
         (truth.values > 0).sum(), rel=0.01
