@@ -129,7 +129,7 @@ class Equilibrium:
         def advance(X: np.ndarray, factor: float) -> np.ndarray:
             return self._newton_reference(_Problem(body, x, X, factor * gravity, gravity), report)
 
-        return ramp(advance, x, report), report
+        return ramp(advance, x, report, max_iterations=300), report  # slender breasts hang far: many small steps
 
     def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Newton on positions and volume ratios together, the ratios eliminated element by element.
