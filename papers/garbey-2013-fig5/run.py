@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from cicatrix.coupling.cycle import HealingCycle, run
+from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.io import figures
 from cicatrix.io.cases import load_case
 from cicatrix.io.claims import print_claims
@@ -59,12 +60,9 @@ def speeds(days: np.ndarray, radius: np.ndarray) -> tuple[float, float]:
     return tuple(float(-np.polyfit(days[part], radius[part], 1)[0]) for part in (early, late))
 
 
-def relative_roundness(cycle: HealingCycle, fronts: list[np.ndarray]) -> float:
+def relative_roundness(lattice: Lattice, fresh: np.ndarray, half: np.ndarray) -> float:
     """Roundness at half closure over that of the fresh wound."""
-    n0 = fronts[0].sum()
-    half = next(f for f in fronts if f.sum() <= 0.5 * n0)
-    lattice = cycle.automaton.lattice
-    return closure.roundness(lattice, half) / closure.roundness(lattice, fronts[0])
+    return closure.roundness(lattice, half) / closure.roundness(lattice, fresh)
 
 
 def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tuple[dict[str, np.ndarray], tuple]:
@@ -82,7 +80,13 @@ def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tupl
         two_rows, two_fronts = heal(reseeded(cycle, seed), last_cycle(case))
         early, late = speeds(days, radius)
         shift = np.linalg.norm(closure.centroid_shift(one.automaton.lattice, half, fronts[0]))
-        values = (relative_roundness(one, fronts), early, late, days[-1], two_rows[-1]["time_days"])
+        values = (
+            relative_roundness(one.automaton.lattice, fronts[0], half),
+            early,
+            late,
+            days[-1],
+            two_rows[-1]["time_days"],
+        )
         values += (closure.asymmetry(half, centre), at_half(two_rows, "wound_asymmetry"))
         values += tuple(
             closure.asymmetry(f, closure.wound_centre(f)) for f in (half, nearest_half(two_rows, two_fronts))

@@ -10,6 +10,7 @@ from cicatrix.mechanics.elements import (
     Bulk,
     Membrane,
     linearised,
+    linearised_reference,
     membrane_energy,
     membrane_force,
     tangent,
@@ -68,36 +69,50 @@ def test_patch_is_recovered_from_its_border(body):
     np.testing.assert_allclose(F_found, np.broadcast_to(F, F_found.shape), atol=1e-10)
 
 
-def test_stiffness_equals_its_slow_twin(body, bent):
-    """``linearised`` contracts point tangents; ``tangent`` differentiates the element force (other method)."""
+@pytest.mark.parametrize("unknown", ["loaded", "unloaded"])
+def test_stiffness_equals_its_slow_twin(body, bent, unknown):
+    """Linearisations contract point tangents; ``tangent`` differentiates the element force (other method)."""
     X, x = (positions[body.frame.space.element_nodes] for positions in bent)
     table = body.frame.space.table
     fraction = np.ones(len(X))
     fraction[::4] = 0.0, 0.3, 0.6, 0.9, 1.0
     bulk = Bulk(body.law, body.density, fraction)
     J = body.dilation(*bent)
-    fast = jax.jit(lambda x: linearised(X, x, J, bulk, table).stiffness, compiler_options=COMPILER)(x)
-    gravity = np.array([0.0, 0.0, 1.0])
-    slow = jax.jit(lambda x: tangent(lambda y: tied_force(X, y, bulk, gravity, table), x), compiler_options=COMPILER)(x)
+    gravity = np.array([9e3, -4e3, 2e3])
+    if unknown == "loaded":
+        fast = jax.jit(lambda x: linearised(X, x, J, bulk, table).stiffness, compiler_options=COMPILER)(x)
+        force, at = (lambda y: tied_force(X, y, bulk, gravity, table)), x
+    else:
+        whole = jax.jit(lambda Y: linearised_reference(Y, x, J, bulk, gravity, table), compiler_options=COMPILER)
+        fast = whole(X).stiffness
+        force, at = (lambda Y: tied_force(Y, x, bulk, gravity, table)), X
+    slow = jax.jit(lambda y: tangent(force, y), compiler_options=COMPILER)(at)
     held = fraction > 0
     np.testing.assert_allclose(np.asarray(fast)[held], np.asarray(slow)[held], rtol=0, atol=1e-10 * np.abs(slow).max())
     assert (np.asarray(fast)[~held] == 0).all()
 
 
-def test_matrix_is_the_derivative_of_the_residual(body, bent):
+@pytest.mark.parametrize("unknown", ["loaded", "unloaded"])
+def test_matrix_is_the_derivative_of_the_residual(body, bent, unknown):
     """Tissue and skin assembled, against fourth-order differences of the residual along random directions."""
     X, x = bent
-    held_loosely = body.frame.solved(False)[0]
-    matrix, _ = body.linearised(X, x, body.dilation(X, x), in_plane=False)
-    assert np.abs(matrix - matrix.T).max() < 1e-12 * np.abs(matrix).max()
+    gravity = np.array([9e3, -4e3, 2e3])
+    J = body.dilation(X, x)
+    free = body.frame.solved(False)[0]
+    if unknown == "loaded":
+        matrix, _ = body.linearised(X, x, J, in_plane=False)
+        assert np.abs(matrix - matrix.T).max() < 1e-12 * np.abs(matrix).max()
+    else:
+        matrix, _ = body.linearised_reference(X, x, J, gravity, in_plane=False)
     rng = np.random.default_rng(0)
     for _ in range(3):
         direction = np.zeros(x.size)
-        direction[held_loosely] = rng.standard_normal(held_loosely.size)
+        direction[free] = rng.standard_normal(free.size)
         h, d = 1e-4, direction.reshape(x.shape)
-        values = [body.residual(X, x + k * h * d, np.zeros(3)).ravel()[held_loosely] for k in (-2, -1, 1, 2)]
+        shifts = [(0, k * h * d) if unknown == "loaded" else (k * h * d, 0) for k in (-2, -1, 1, 2)]
+        values = [body.residual(X + dX, x + dx, gravity).ravel()[free] for dX, dx in shifts]
         slope = (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
-        np.testing.assert_allclose(matrix @ direction[held_loosely], slope, atol=1e-7 * np.abs(slope).max())
+        np.testing.assert_allclose(matrix @ direction[free], slope, atol=1e-7 * np.abs(slope).max())
 
 
 def test_residual_is_the_derivative_of_the_potential(body, bent):

@@ -59,7 +59,7 @@ def test_newton_is_quadratic(block):
     def step(values, r):
         x = problem.positions(values)
         matrix, _ = block.linearised(X, x, block.dilation(X, x), in_plane=True)
-        return solver._factored("x", problem, matrix).solve(-r)
+        return solver._factored(problem, matrix).solve(-r)
 
     x, _ = Equilibrium(1e-4).loaded(block, X, PRONE)
     x = x + 1e-2 * np.sin(X)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from importlib import resources
 from pathlib import Path
 
 import cicatrix
 
-from ..io.cases import load_case
+from ..io.cases import demo_case
 from .headline import print_headline
 from .progress import make_progress
 
@@ -27,11 +26,9 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo case; a demo that was stopped goes on, one that is finished is shown again."""
-    with resources.as_file(resources.files("cicatrix.study") / "demo.toml") as path:
-        case = load_case(path)
     progress = make_progress()
     try:
-        results = cicatrix.simulate(case, args.out, True, progress)
+        results = cicatrix.simulate(demo_case(), args.out, True, progress)
     finally:
         progress.close()
     print_headline(results)

@@ -171,8 +171,8 @@ def ramp(
             size, streak = 0.5 * (target - reached), 0
             if size < smallest or report.iterations > max_iterations:
                 raise ConvergenceError(
-                    f"No equilibrium found beyond load factor {reached:.4g}: try stiffer tissue, a finer mesh or a smaller "
-                    "gravity.",
+                    f"No equilibrium found beyond load factor {reached:.4g}: try stiffer tissue or another mesh, and look at "
+                    "folds and at the ends of the chest wall.",
                     report.history,
                 ) from error
             continue

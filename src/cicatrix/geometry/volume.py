@@ -45,6 +45,15 @@ class Volume:
         """Physical positions: indices (..., 3) z, y, x -> (..., 3) x, y, z [mm]."""
         return np.asarray(index_zyx, float)[..., ::-1] * self.spacing_mm + self.origin_mm
 
+    def axis(self, number: int) -> np.ndarray:
+        """Voxel centres along an array axis (0 z, 1 y, 2 x) [mm]."""
+        return self.origin_mm[2 - number] + np.arange(self.shape[number]) * self.spacing_mm[2 - number]
+
+    def nearest(self, points_mm: np.ndarray) -> np.ndarray:
+        """Values of the nearest voxels: points (..., 3) [mm] -> (...) or (n_channels, ...)."""
+        index = np.clip(np.rint(self.voxel(points_mm)).astype(int), 0, np.array(self.shape) - 1)
+        return self.values[(..., *np.moveaxis(index, -1, 0))]
+
     def sample(self, points_mm: np.ndarray, order: int = 1) -> np.ndarray:
         """Interpolate: points (..., 3) [mm] -> (...) or (n_channels, ...); outside, the nearest voxel counts."""
         coordinates = np.moveaxis(self.voxel(points_mm), -1, 0)

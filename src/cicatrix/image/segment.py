@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +23,7 @@ LEAST_BODY_ML = 50.0
 LEAST_CONTRAST = 3.0  # body over air
 
 Report = Callable[[str, float], None]
-ChestWall = Mapping[str, object] | np.ndarray | list
+ChestWall = Mapping[str, object] | np.ndarray | Sequence
 
 
 @dataclass(frozen=True)
@@ -141,7 +141,7 @@ def _body(image: Volume) -> np.ndarray:
         raise InputError(
             "image: no breast found, nothing stands out from the background; give a T1-weighted breast MRI."
         )
-    rough = np.stack([ndi.binary_fill_holes(s) for s in rough])  # pyright: ignore[reportCallIssue]
+    rough = _filled(rough)
     inside, outside = np.median(smooth[rough]), np.median(smooth[~rough]) if not rough.all() else np.inf
     if rough.sum() * np.prod(image.spacing_mm) < 1000 * LEAST_BODY_ML or inside < LEAST_CONTRAST * outside:
         raise InputError(
@@ -162,7 +162,7 @@ def _edge_found(image: Volume, rough: np.ndarray, fat_bright: bool) -> np.ndarra
     peak = ndi.maximum_filter(image.values, [2 * max(round(EDGE_MM / s), 1) + 1 for s in size])
     level = air + (EDGE_SHARE_T1 if fat_bright else EDGE_SHARE_FATSAT) * (peak - air)
     body = _largest(rough & ~(reach & (image.values < level)))
-    return np.stack([ndi.binary_fill_holes(s) for s in body])  # pyright: ignore[reportCallIssue]
+    return _filled(body)
 
 
 def _otsu(v: np.ndarray) -> float:
@@ -182,12 +182,17 @@ def _largest(mask: np.ndarray) -> np.ndarray:
     return mask if n < 2 else pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
 
 
+def _filled(mask: np.ndarray) -> np.ndarray:
+    """Holes of each axial slice filled."""
+    return np.stack([ndi.binary_fill_holes(s) for s in mask])  # pyright: ignore[reportCallIssue]
+
+
 def _chest(
     flat: Volume, body: np.ndarray, fat_bright: bool, side: str, given: ChestWall | None
 ) -> tuple[np.ndarray, np.ndarray, str]:
     """Find what lies behind the wall (nz, ny, nx), which columns are breast (nz, nx), and a note."""
     coarse, solid = _coarse(flat, body)
-    x_mm, skin = _axis(coarse, 2), coarse.origin_mm[1] + wall.front(solid) * coarse.spacing_mm[1]
+    x_mm, skin = coarse.axis(2), coarse.origin_mm[1] + wall.front(solid) * coarse.spacing_mm[1]
     sign = 1.0 if side == "left" else -1.0
     midline = wall.find_midline(skin, x_mm, sign)
     if given is None:
@@ -201,17 +206,17 @@ def _chest(
         note = f"chest wall automatic ({how}), midline at x = {midline:.0f} mm"
     else:
         surface, note = _given_wall(given, coarse)
-    last = _axis(flat, 1)[-1]
+    last = flat.axis(1)[-1]
     surface = np.minimum(surface, last - 1.0)  # where the image ends first, its last voxels hold the breast
     columns = wall.foot(surface - skin, sign * (x_mm - midline) > 0, (coarse.spacing_mm[2], coarse.spacing_mm[0]))
     fine_surface = _refine(surface, coarse, flat)
     fine_columns = _refine(ndi.gaussian_filter(columns.astype(float), 1.0), coarse, flat) > 0.2  # to the skin, and over
-    return _axis(flat, 1)[None, :, None] > fine_surface[:, None, :], fine_columns, note
+    return flat.axis(1)[None, :, None] > fine_surface[:, None, :], fine_columns, note
 
 
 def _given_wall(given: ChestWall, grid: Volume) -> tuple[np.ndarray, str]:
     """Wall y (nz, nx) [mm] from a plane or from points."""
-    x, z = _axis(grid, 2)[None, :], _axis(grid, 0)[:, None]
+    x, z = grid.axis(2)[None, :], grid.axis(0)[:, None]
     if isinstance(given, Mapping):
         point, normal = (np.asarray(given[k], float) for k in ("point_mm", "normal"))
         if point.shape != (3,) or normal.shape != (3,) or abs(normal[1]) < 0.2 * np.linalg.norm(normal):
@@ -246,14 +251,9 @@ def _coarse(flat: Volume, body: np.ndarray) -> tuple[Volume, np.ndarray]:
 
 def _refine(field: np.ndarray, coarse: Volume, fine: Volume) -> np.ndarray:
     """Height map (nz, nx) from the coarse to the fine grid."""
-    z = (_axis(fine, 0) - coarse.origin_mm[2]) / coarse.spacing_mm[2]
-    x = (_axis(fine, 2) - coarse.origin_mm[0]) / coarse.spacing_mm[0]
+    z = (fine.axis(0) - coarse.origin_mm[2]) / coarse.spacing_mm[2]
+    x = (fine.axis(2) - coarse.origin_mm[0]) / coarse.spacing_mm[0]
     return ndi.map_coordinates(field, np.meshgrid(z, x, indexing="ij"), order=1, mode="nearest")
-
-
-def _axis(volume: Volume, axis: int) -> np.ndarray:
-    """Voxel centres along an array axis (0 z, 1 y, 2 x) [mm]."""
-    return volume.origin_mm[2 - axis] + np.arange(volume.shape[axis]) * volume.spacing_mm[2 - axis]
 
 
 def _box(mask: np.ndarray) -> tuple[slice, slice, slice]:

@@ -106,7 +106,7 @@ def follow_contour(
     work on. Returns the wall (nz, nx) [mm], and whether the contour settled; if it did not, the surface is as it was.
     """
     step = image.spacing_mm[1]
-    y = (image.origin_mm[1] + np.arange(image.shape[1]) * step)[None, :, None]
+    y = image.axis(1)[None, :, None]
     off = np.abs(y - surface_mm[:, None, :])
     where = (off < CONTOUR_MM) & (y - skin_mm[:, None, :] > BEFORE_WALL_MM) & on_side
     if not where.any():

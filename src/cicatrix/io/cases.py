@@ -6,6 +6,7 @@ import difflib
 import json
 import tomllib
 from collections.abc import Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 from typing import Any
 
@@ -55,6 +56,12 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> Case:
         more = f" (and {len(faults) - 1} more: cicatrix check {path} lists them)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {faults[0]}{more}")
     return case
+
+
+def demo_case() -> Case:
+    """Return the case that ``cicatrix demo`` runs."""
+    with resources.as_file(resources.files("cicatrix.study") / "demo.toml") as path:
+        return load_case(path)
 
 
 def check_case(path: str | Path, overrides: Sequence[str] = ()) -> list[str]:

@@ -23,6 +23,7 @@ from ..study.lumpectomy import (
     Plan,
     equilibrium_of,
     healing_cycle,
+    imaged_in,
     last_cycle,
     margin_mm,
     plan,
@@ -130,7 +131,7 @@ def _segment(
         weighting=image.weighting,
         side=image.side,
         position=image.position,
-        chest_wall=np.array(wall) if isinstance(wall, tuple) else wall,
+        chest_wall=wall,
         resection_centre_mm=centre,
         report=lambda stage, fraction: progress.update(fraction, stage),
     )
@@ -184,9 +185,8 @@ class _Lumpectomy:
         with self.progress.stage("before surgery"):
             for position in self._positions:
                 self.progress.update(0.0, position)
-                x, report = equilibrium.loaded(
-                    planned.intact, X, planned.gravity(position), self._near(planned, position)
-                )
+                start = imaged_in(self.case, planned, position)
+                x, report = equilibrium.loaded(planned.intact, X, planned.gravity(position), start)
                 self.shapes[position, BEFORE] = x
                 self._tell(f"before surgery, {position}", report)
         cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium)
@@ -207,10 +207,6 @@ class _Lumpectomy:
     def _positions(self) -> list[str]:
         """Positions to solve for, the healing position first."""
         return list(dict.fromkeys([self._home, *self.case.outcome.positions]))
-
-    def _near(self, planned: Plan, position: str) -> np.ndarray | None:
-        """The imaged shape is the answer in the position of the image."""
-        return planned.x_imaged if position == self.case.image.position else None
 
     def _tell(self, what: str, report: NewtonReport) -> None:
         """Note a solve that needed more than a plain Newton run."""

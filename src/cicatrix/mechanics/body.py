@@ -21,10 +21,10 @@ from .elements import (
     deformation_gradient,
     dilation,
     linearised,
+    linearised_reference,
     membrane_energy,
     membrane_force,
     tangent,
-    tied_force,
 )
 from .pattern import Pattern
 from .space import Space
@@ -155,16 +155,28 @@ class Body:
     def linearised(
         self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, *, in_plane: bool, damping: float = 0.0
     ) -> tuple[sp.csr_array, Linearised]:
-        """Stiffness on the free dofs, and the elements' linearisation.
+        """Derivative of the residual by x on the free dofs [mN/mm^2], and the elements' linearisation.
 
         Rows of nodes that no tissue holds are those of the identity; ``damping`` times the nodal mass [kg/mm] is added
         to the diagonal.
         """
-        elements, skin = _linearisations(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane)
+        parts = _linearisations(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane)
+        return self._assembled(*parts, in_plane, damping * self.lumped_mass(X) if damping else None)
+
+    def linearised_reference(
+        self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, gravity: np.ndarray, *, in_plane: bool
+    ) -> tuple[sp.csr_array, Linearised]:
+        """The same by the reference positions X."""
+        parts = _reference_linearisations(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane, gravity)
+        return self._assembled(*parts, in_plane)
+
+    def _assembled(
+        self, elements: Linearised, skin: Array, in_plane: bool, added: np.ndarray | None = None
+    ) -> tuple[sp.csr_array, Linearised]:
         free, pattern = self.frame.solved(in_plane)
         diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
-        if damping:
-            diagonal += damping * np.repeat(self.lumped_mass(X), 3)[free]
+        if added is not None:
+            diagonal += np.repeat(added, 3)[free]
         matrix = pattern.assemble([np.asarray(elements.stiffness), np.asarray(skin)], diagonal)
         return matrix, Linearised(*map(np.asarray, elements))
 
@@ -172,13 +184,6 @@ class Body:
         """Change of force when J_bar changes by ``gap`` (n_elements, n_qp) -> (n_nodes, 3) [mN/mm]."""
         force = np.einsum("eqm,eq->em", elements.force_rate, gap).reshape(len(gap), -1, 3)
         return self.frame.scatter([force, np.zeros((*self.frame.skin_nodes.shape, 3))])
-
-    def reference_tangent(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray, *, in_plane: bool) -> sp.csr_array:
-        """Derivative of the residual by the reference positions X on the free dofs [mN/mm^2]."""
-        matrices = _reference_tangents(self._tables, *self._gather(X, x), self._bulk, self._membrane, gravity)
-        free, pattern = self.frame.solved(in_plane)
-        diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
-        return pattern.assemble([np.asarray(m) for m in matrices], diagonal)
 
     def _gather(self, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
         cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
@@ -209,6 +214,11 @@ class Body:
         nodes = self.frame.space.element_nodes
         return np.bincount(nodes.ravel(), weights=shares.ravel(), minlength=self.frame.space.n_nodes)
 
+    def inside_out(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Elements that some point of has turned over between X and x (n,): no shape of any tissue, whatever balances."""
+        turned = (_local_areas(self.frame.space, X) * _local_areas(self.frame.space, x) <= 0.0).any(axis=1)
+        return np.flatnonzero(turned & (self.fraction > 0.0))
+
     def volumes(self, X: np.ndarray) -> np.ndarray:
         """Area of the section at quadrature points: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^2]."""
         return section_areas(self.frame.space, X)
@@ -233,8 +243,12 @@ class _Tables:
 
 def section_areas(space: Space, X: np.ndarray) -> np.ndarray:
     """Area belonging to each quadrature point: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^2]."""
-    slopes = np.einsum("eai,qab->eqib", X[space.element_nodes][..., :2], space.table.gradient)
-    return space.table.weight * np.abs(np.linalg.det(slopes))
+    return space.table.weight * np.abs(_local_areas(space, X))
+
+
+def _local_areas(space: Space, X: np.ndarray) -> np.ndarray:
+    """Signed area over that of the reference triangle (n_elements, n_qp) [mm^2]."""
+    return np.linalg.det(np.einsum("eai,qab->eqib", X[space.element_nodes][..., :2], space.table.gradient))
 
 
 def deformation_gradients(space: Space, X: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -266,11 +280,9 @@ def _linearisations(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, mem
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
-def _reference_tangents(tables, X_cells, x_cells, X_edges, x_edges, bulk, membrane, gravity):
-    return [
-        tangent(lambda Y: tied_force(Y, x_cells, bulk, gravity, tables.bulk), X_cells),
-        tangent(lambda Y: membrane_force(Y, x_edges, membrane, tables.edge), X_edges),
-    ]
+def _reference_linearisations(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane, gravity):
+    skin = tangent(lambda Y: membrane_force(Y, x_edges, membrane, tables.edge), X_edges)
+    return linearised_reference(X_cells, x_cells, J_bar, bulk, gravity, tables.bulk), skin
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
@@ -283,7 +295,7 @@ def _skin_energies(tables, X_edges, x_edges, membrane):
     return membrane_energy(X_edges, x_edges, membrane, tables.edge)
 
 
-KERNELS = (_dilations, _forces, _linearisations, _reference_tangents, _energies, _skin_energies, _gradients)
+KERNELS = (_dilations, _forces, _linearisations, _reference_linearisations, _energies, _skin_energies, _gradients)
 
 
 def compiled_variants() -> int:

@@ -135,36 +135,101 @@ def _pressure(law: EnergyMaterial, F: Array, J_bar: Array, projection: Array) ->
 
 
 class Linearised(NamedTuple):
-    """First order of ``bulk_force`` about (x, J_bar), with J_bar then tied to x again: J_bar + dJ_bar = J_bar(x + dx)."""
+    """First order of ``bulk_force`` about (u, J_bar), u the positions x or X, with J_bar then tied to them again."""
 
     stiffness: Array
-    """Change of force by dx (n, 21, 21) [mN/mm^2]."""
+    """Change of force by du, J_bar along with it (n, 21, 21) [mN/mm^2]."""
     force_rate: Array
     """Change of force by J_bar at each quadrature point (n, n_qp, 21) [mN/mm]."""
     volume_rate: Array
-    """Change of J_bar(x) by dx (n, n_qp, 21) [1/mm]; 0 in open elements."""
+    """Change of J_bar by du (n, n_qp, 21) [1/mm]; 0 in open elements."""
+
+
+class _Rates(NamedTuple):
+    """What both linearisations are contracted from, at quadrature points."""
+
+    F: Array
+    B: Array
+    projection: Array
+    weights: Array
+    """(n, n_qp, 1) [mm^2], 0 in open elements."""
+    P: Array
+    excess: Array
+    """Mean stress minus its projection (n, n_qp) [kPa]."""
+    P_by_F: Array
+    mean_by_F: Array
+    volume_by_x: Array
+    """Change of J_bar by dx (n, n_qp, 21) [1/mm]."""
+    force_by_volume: Array
+    """Change of force by J_bar (n, n_qp, 21) [mN/mm]."""
+
+
+def _rates(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> _Rates:
+    F, projection, weights = kinematics(X, _tissue_only(X, x, bulk), table)
+    B = slopes(X, table)
+    axes = B.shape[-1]
+    pressure = _pressure(bulk.law, F, J_bar, projection)
+    P, mean = point_stress(bulk.law, F, J_bar, pressure)
+    by_F, by_J = _point_derivatives(bulk.law, F, J_bar, pressure, axes)
+    weights = (weights * bulk.fraction[:, None])[..., None]
+    volume_by_x = jnp.einsum("eqr,erm->eqm", projection, _to_nodes(B, cofactor(F)[..., :axes]))
+    force_by_volume = weights * (_to_nodes(B, by_J[0][..., :axes]) + by_J[1][..., None] * volume_by_x)
+    return _Rates(F, B, projection, weights, P[..., :axes], mean - pressure, *by_F, volume_by_x, force_by_volume)
+
+
+def _to_nodes(B: Array, P: Array) -> Array:
+    """Work of a stress-like field on each degree of freedom: (n, n_qp, a, axes), (n, n_qp, 3, axes) -> (n, n_qp, 3a)."""
+    return jnp.einsum("eqaJ,eqiJ->eqai", B, P).reshape(*B.shape[:2], -1)
+
+
+def _sandwich(B: Array, A: Array) -> Array:
+    """Sum of B A B over quadrature points: A (n, n_qp, 3, axes, 3, axes) -> (n, 3a, 3a)."""
+    n, _, a, _ = B.shape
+    K = jnp.einsum("eqaJ,eqJikb->eaikb", B, jnp.einsum("eqiJkL,eqbL->eqJikb", A, B))
+    return jnp.swapaxes(K, -1, -2).reshape(n, 3 * a, 3 * a)
+
+
+def _outer(left: Array, right: Array) -> Array:
+    """Sum over quadrature points of columns times rows: (n, n_qp, 3a), (n, n_qp, 3a) -> (n, 3a, 3a)."""
+    return jnp.swapaxes(left, 1, 2) @ right
 
 
 def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Linearised:
-    """Contract the point tangents to element matrices; ``tangent`` of ``tied_force`` is the slow twin where J_bar = J_bar(x)."""
-    x = _tissue_only(X, x, bulk)
-    F, projection, weights = kinematics(X, x, table)
-    B = slopes(X, table)
-    n, n_qp, a, axes = B.shape
-    by_F, by_J = _point_derivatives(bulk.law, F, J_bar, _pressure(bulk.law, F, J_bar, projection), axes)
-    weights = (weights * bulk.fraction[:, None])[..., None]
+    """By x: point tangents contracted to element matrices.
 
-    def to_nodes(P: Array) -> Array:
-        return jnp.einsum("eqaJ,eqiJ->eqai", B, P).reshape(n, n_qp, 3 * a)
+    ``tangent`` of ``tied_force`` by x is the slow twin where J_bar = J_bar(x).
+    """
+    r = _rates(X, x, J_bar, bulk, table)
+    K = _sandwich(r.B, r.weights[..., None, None, None] * r.P_by_F)
+    K += _outer(r.force_by_volume, r.volume_by_x)
+    K += _outer(r.weights * r.volume_by_x, _to_nodes(r.B, r.mean_by_F))
+    return Linearised(K, r.force_by_volume, _where_tissue(bulk, r.volume_by_x))
 
-    dJ = jnp.einsum("eqr,erm->eqm", projection, to_nodes(cofactor(F)[..., :axes]))
-    per_volume = weights * (to_nodes(by_J[0][..., :axes]) + by_J[1][..., None] * dJ)
-    A = weights[..., None, None, None] * by_F[0]
-    K = jnp.einsum("eqaJ,eqJikb->eaikb", B, jnp.einsum("eqiJkL,eqbL->eqJikb", A, B))
-    K = jnp.swapaxes(K, -1, -2).reshape(n, 3 * a, 3 * a)
-    K += jnp.swapaxes(per_volume, 1, 2) @ dJ + jnp.swapaxes(weights * dJ, 1, 2) @ to_nodes(by_F[1])
-    has_tissue = (bulk.fraction > 0.0)[:, None, None]
-    return Linearised(K, per_volume, jnp.where(has_tissue, dJ, 0.0))
+
+def linearised_reference(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, table: Table) -> Linearised:
+    r"""By the reference positions X, x held: ``tangent`` of ``tied_force`` by X is the slow twin.
+
+    A shift of X with gradient H along X changes F by :math:`-FH`, the slopes B of the shape functions by
+    :math:`-BH` and volumes by tr H; gravity, fixed to the reference volume, changes with these.
+    """
+    r = _rates(X, x, J_bar, bulk, table)
+    axes = r.B.shape[-1]
+    along = np.eye(3)[:axes]  # unit vectors of the element's axes
+    swept = _to_nodes(r.B, jnp.broadcast_to(along.T, r.P.shape))  # tr H
+    A = -jnp.einsum("eqiJmL,eqmk->eqiJkL", r.P_by_F, r.F)
+    A += jnp.einsum("eqiJ,Lk->eqiJkL", r.P, along) - jnp.einsum("eqiL,Jk->eqiJkL", r.P, along)
+    K = _sandwich(r.B, r.weights[..., None, None, None] * A)
+    volume_rate = -jnp.einsum("eqr,er,erm->eqm", r.projection, dilation(X, x, bulk, table), swept)
+    K += _outer(r.force_by_volume, volume_rate)
+    mean_rate = r.excess[..., None] * swept - _to_nodes(r.B, jnp.einsum("eqiJ,eqik->eqkJ", r.mean_by_F, r.F))
+    K += _outer(r.weights * r.volume_by_x, mean_rate)
+    weight = (table.value[:, :, None] * gravity).reshape(len(table.value), -1)
+    K -= _outer(r.weights * bulk.density[..., None] * weight, swept)
+    return Linearised(K, r.force_by_volume, _where_tissue(bulk, volume_rate))
+
+
+def _where_tissue(bulk: Bulk, rate: Array) -> Array:
+    return jnp.where((bulk.fraction > 0.0)[:, None, None], rate, 0.0)
 
 
 def tied_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:

@@ -34,7 +34,7 @@ class Equilibrium:
 
     def __init__(self, relative_tolerance: float = 1e-8, tell: Callable[[str], None] | None = None) -> None:
         self.relative_tolerance, self.tell = relative_tolerance, tell
-        self._linear: dict[tuple[str, bool], LinearSolver] = {}
+        self._linear: dict[tuple[bool, bool], LinearSolver] = {}
 
     @property
     def factorizations(self) -> int:
@@ -70,8 +70,8 @@ class Equilibrium:
             With everything that was tried.
         """
         report = NewtonReport(tell=self.tell)
-        problem = _Problem(body, X, X if start is None else start, gravity, gravity)
-        problem = replace(problem, x=np.where(body.active_nodes[:, None], X, problem.x))
+        at_rest = X if start is None else np.where(body.active_nodes[:, None], X, start)
+        problem = _Problem(body, X, at_rest, gravity, gravity)
         by_gravity = _Path(
             problem.x, lambda x, load: self._newton(replace(problem, x=x, gravity=load * gravity), report)
         )
@@ -98,12 +98,12 @@ class Equilibrium:
 
     def _let_go(self, problem: _Problem, report: NewtonReport) -> _Path:
         """Way from a shape that is near: what is out of balance there is held, and let go little by little."""
-        body = problem.body
-        out_of_balance = problem.free_part(body.residual(problem.X, problem.x, problem.gravity, problem.volume_ratios))
-        return _Path(
-            problem.x,
-            lambda x, share: self._newton(replace(problem, x=x, held=(1.0 - share) * out_of_balance), report),
-        )
+
+        def advance(x: np.ndarray, share: float) -> np.ndarray:
+            held = (1.0 - share) * problem.out_of_balance if share < 1.0 else 0.0
+            return self._newton(replace(problem, x=x, held=held), report)
+
+        return _Path(problem.x, advance)
 
     def unloaded(self, body: Body, x: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, NewtonReport]:
         """Find the unloaded shape of a body whose loaded shape is known.
@@ -127,12 +127,12 @@ class Equilibrium:
         report = NewtonReport(tell=self.tell)
 
         def advance(X: np.ndarray, factor: float) -> np.ndarray:
-            return self._newton_reference(_Problem(body, x, X, factor * gravity, gravity), report)
+            return self._newton(_Problem(body, x, X, factor * gravity, gravity, inverse=True), report)
 
         return ramp(advance, x, report, max_iterations=300), report  # slender breasts hang far: many small steps
 
     def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
-        """Newton on positions and volume ratios together, the ratios eliminated element by element.
+        """Newton on the unknown positions and volume ratios together, the ratios eliminated element by element.
 
         Carrying the volume ratio along keeps the pressure of a trial shape small, so the iteration bears large steps
         however incompressible the tissue is.
@@ -142,15 +142,13 @@ class Equilibrium:
         scale = problem.weight / np.sqrt(np.prod(shape))
 
         def residual(z: np.ndarray) -> np.ndarray:
-            x, J_bar = problem.positions(z[:n]), z[n:].reshape(shape)
-            r = problem.free_part(body.residual(problem.X, x, problem.gravity, J_bar)) - problem.held
-            return np.concatenate([r, scale * (body.dilation(problem.X, x) - J_bar).ravel()])
+            shapes, J_bar = problem.shapes(z[:n]), z[n:].reshape(shape)
+            r = problem.free_part(body.residual(*shapes, problem.gravity, J_bar)) - problem.held
+            return np.concatenate([r, scale * (body.dilation(*shapes) - J_bar).ravel()])
 
         def linearise(z: np.ndarray) -> tuple[LinearSolver, Linearised]:
-            matrix, elements = body.linearised(
-                problem.X, problem.positions(z[:n]), z[n:].reshape(shape), in_plane=problem.in_plane
-            )
-            return self._factored("x", problem, matrix), elements
+            matrix, elements = problem.linearised(z[:n], z[n:].reshape(shape))
+            return self._factored(problem, matrix), elements
 
         kept = _Kept(linearise)
 
@@ -166,6 +164,7 @@ class Equilibrium:
         z = newton(residual, step, z, tolerance=self.relative_tolerance * problem.weight, report=report)
         if kept.value is not None and kept.value[0].n_negative:
             raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
+        _check_elements(body, *problem.shapes(z[:n]))
         return problem.positions(z[:n])
 
     def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
@@ -183,39 +182,32 @@ class Equilibrium:
             damping *= max(np.linalg.norm(problem.gravity), 1.0)  # pyright: ignore[reportAssignmentType]
             J_bar = body.dilation(problem.X, x)
             matrix, _ = body.linearised(problem.X, x, J_bar, in_plane=problem.in_plane, damping=damping)
-            return self._factored("x", problem, matrix).solve(-r)
+            return self._factored(problem, matrix).solve(-r)
 
         start = problem.x.reshape(-1)[problem.free]
         tolerance = self.relative_tolerance * problem.weight
-        return problem.positions(minimise(energy, residual, step, start, tolerance=tolerance, report=report))
+        values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
+        _check_elements(body, *problem.shapes(values))
+        return problem.positions(values)
 
-    def _newton_reference(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
-        """Newton on the reference positions; ``problem.x`` are the unknowns' start, ``problem.X`` the loaded shape."""
-        body = problem.body
-
-        def residual(values: np.ndarray) -> np.ndarray:
-            return problem.free_part(body.residual(problem.positions(values), problem.X, problem.gravity))
-
-        def linearise(values: np.ndarray) -> LinearSolver:
-            X = problem.positions(values)
-            matrix = body.reference_tangent(X, problem.X, problem.gravity, in_plane=problem.in_plane)
-            return self._factored("X", problem, matrix)
-
-        kept = _Kept(linearise)
-
-        def step(values: np.ndarray, r: np.ndarray) -> np.ndarray:
-            return kept.at(values, r).solve(-r)
-
-        start = problem.x.reshape(-1)[problem.free]
-        tolerance = self.relative_tolerance * problem.weight
-        return problem.positions(newton(residual, step, start, tolerance=tolerance, report=report))
-
-    def _factored(self, unknown: str, problem: _Problem, matrix: sp.csr_array) -> LinearSolver:
-        key = (unknown, problem.in_plane)
+    def _factored(self, problem: _Problem, matrix: sp.csr_array) -> LinearSolver:
+        key = (problem.inverse, problem.in_plane)
         if key not in self._linear:
-            self._linear[key] = linear_solver(symmetric=unknown == "x")
+            self._linear[key] = linear_solver(symmetric=not problem.inverse)
         self._linear[key].factor(matrix)
         return self._linear[key]
+
+
+def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
+    """Refuse a shape that balances with an element turned inside out."""
+    turned = body.inside_out(X, x)
+    if len(turned):
+        at = x[body.frame.space.element_nodes[turned[0], :3]].mean(axis=0)
+        where = f"({at[0]:.1f}, {at[1]:.1f}) mm of the section"
+        raise ConvergenceError(
+            f"{len(turned)} elements turn inside out, the first at {where}: tissue there would have to bear more than it can.",
+            [f"{len(turned)} elements inside out, the first at {where}"],
+        )
 
 
 class _Path:
@@ -247,7 +239,10 @@ class _Kept:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """One nonlinear solve: a body, the known shape X, the start x of the unknown one, gravity now and in full."""
+    """One nonlinear solve: a body, the known shape X, the start x of the unknown one, gravity now and in full.
+
+    ``inverse``: the loaded shape is known and the unloaded one is not.
+    """
 
     body: Body
     X: np.ndarray
@@ -255,6 +250,7 @@ class _Problem:
     gravity: np.ndarray
     full: np.ndarray
     held: np.ndarray | float = 0.0  # force on the free degrees of freedom that still holds the body back
+    inverse: bool = False
 
     @property
     def in_plane(self) -> bool:
@@ -280,13 +276,32 @@ class _Problem:
     def volume_ratios(self) -> np.ndarray:
         """Volume ratios to start from: those of x, but not far from rest (n_elements, n_qp) [1]."""
         rest = np.asarray(self.body.law.volume_at_rest())
-        return rest * np.clip(self.body.dilation(self.X, self.x) / rest, 1.0 - START_VOLUME, 1.0 + START_VOLUME)
+        ratios = self.body.dilation(*self._ordered(self.x)) / rest
+        return rest * np.clip(ratios, 1.0 - START_VOLUME, 1.0 + START_VOLUME)
+
+    @cached_property
+    def out_of_balance(self) -> np.ndarray:
+        """Residual at the start x [mN/mm]."""
+        return self.free_part(self.body.residual(*self._ordered(self.x), self.gravity, self.volume_ratios))
 
     def positions(self, values: np.ndarray) -> np.ndarray:
         """All positions (n_nodes, 3) from the free ones."""
         out = self.x.copy()
         out.reshape(-1)[self.free] = values
         return out
+
+    def shapes(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unloaded and loaded positions from the free ones of the unknown shape."""
+        return self._ordered(self.positions(values))
+
+    def _ordered(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return (unknown, self.X) if self.inverse else (self.X, unknown)
+
+    def linearised(self, values: np.ndarray, J_bar: np.ndarray) -> tuple[sp.csr_array, Linearised]:
+        """Derivatives by the unknown shape and the volume ratios."""
+        if self.inverse:
+            return self.body.linearised_reference(*self.shapes(values), J_bar, self.gravity, in_plane=self.in_plane)
+        return self.body.linearised(*self.shapes(values), J_bar, in_plane=self.in_plane)
 
     def free_part(self, forces: np.ndarray) -> np.ndarray:
         """Forces (n_nodes, 3) on the free degrees of freedom, 0 where no tissue holds the node."""

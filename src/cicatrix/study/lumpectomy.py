@@ -149,13 +149,9 @@ def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
 
 def margin_mm(planned: Plan, anatomy: Anatomy) -> float:
     """Least distance from the labelled tumour to the edge of the resection's disc in this section [mm]; inf without tumour."""
-    if not (anatomy.labels.values == Label.TUMOUR).any():
-        return np.inf
     raster = planned.section.raster(anatomy.labels, min(anatomy.labels.spacing_mm))
-    index = np.rint(anatomy.labels.voxel(planned.section.to_patient(raster.points))).astype(int)
-    index = np.clip(index, 0, np.array(anatomy.labels.shape) - 1)
-    tumour = anatomy.labels.values[tuple(np.moveaxis(index, -1, 0))] == Label.TUMOUR
-    away = np.linalg.norm(raster.points[tumour] - planned.centre_mm[list(planned.section.axes[:2])], axis=-1)
+    tumour = anatomy.labels.nearest(planned.section.to_patient(raster.points)) == Label.TUMOUR
+    away = np.linalg.norm(raster.points[tumour] - planned.section.from_patient(planned.centre_mm)[:2], axis=-1)
     return float(planned.radius_mm - np.max(away, initial=-np.inf))
 
 
@@ -227,9 +223,7 @@ def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float,
 
 def _is_wall(labels: Volume, section: Section, raster: Raster):
     """Say whether points just outside the breast lie in the chest (or beyond the image) rather than in air."""
-    points = section.to_patient(raster.points)
-    index = np.moveaxis(np.rint(labels.voxel(points)).astype(int), -1, 0)
-    values = labels.values[tuple(np.clip(i, 0, n - 1) for i, n in zip(index, labels.shape))]
+    values = labels.nearest(section.to_patient(raster.points))
     chest = np.pad(values == Label.CHEST, 1, constant_values=not (labels.values == Label.CHEST).any())
     air = np.pad(values == Label.AIR, 1, constant_values=False)
     if not chest.any():
@@ -277,6 +271,11 @@ def _tissue(case: LumpectomyCase, anatomy: Anatomy, section: Section, space: Spa
 def _mean(shares: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Mean of some values of each tissue, by shares: (..., n_tissues), (n_tissues, n) -> (n, ...)."""
     return np.moveaxis(shares @ values / shares.sum(axis=-1, keepdims=True), -1, 0)
+
+
+def imaged_in(case: LumpectomyCase, planned: Plan, position: str) -> np.ndarray | None:
+    """Where a solve in this position may start: the imaged shape is the answer in the position of the image."""
+    return planned.x_imaged if position == case.image.position else None
 
 
 def equilibrium_of(case: LumpectomyCase, tell: Callable[[str], None] | None = None) -> Equilibrium:

@@ -9,7 +9,7 @@ import numpy as np
 from ..coupling.cycle import HealingCycle
 from ..healing.automaton import Automaton
 from .case import LumpectomyCase
-from .lumpectomy import Anatomy, Plan, equilibrium_of, healing_cycle, plan
+from .lumpectomy import Anatomy, Plan, equilibrium_of, healing_cycle, imaged_in, plan
 
 
 def prepare(case: LumpectomyCase, anatomy: Anatomy) -> tuple[Plan, HealingCycle]:
@@ -25,9 +25,7 @@ def prepare(case: LumpectomyCase, anatomy: Anatomy) -> tuple[Plan, HealingCycle]
     planned, equilibrium = plan(case, anatomy), equilibrium_of(case)
     X, _ = equilibrium.unloaded(planned.intact, planned.x_imaged, planned.gravity(case.image.position))
     home = case.coupling.healing_position
-    x, _ = equilibrium.loaded(
-        planned.intact, X, planned.gravity(home), planned.x_imaged if home == case.image.position else None
-    )
+    x, _ = equilibrium.loaded(planned.intact, X, planned.gravity(home), imaged_in(case, planned, home))
     return planned, healing_cycle(case, planned, X, x, equilibrium)
 
 
@@ -38,14 +36,9 @@ def reseeded(cycle: HealingCycle, seed: int, feedback: float | None = None) -> H
     return replace(cycle, automaton=Automaton(old.lattice, old.fillable, old.open0, rules, seed))
 
 
-def loaded_in(
-    planned: Plan, cycle: HealingCycle, gravity: np.ndarray, near: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Loaded shapes before surgery and with the fresh cavity, under any gravity (3,) [mm/s^2] of the section's axes.
-
-    near (n_nodes, 3) [mm]: a nearby shape of the intact body, if one is known.
-    """
-    before, _ = cycle.equilibrium.loaded(planned.intact, cycle.X, gravity, near)
+def loaded_in(planned: Plan, cycle: HealingCycle, gravity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Loaded shapes before surgery and with the fresh cavity, under any gravity (3,) [mm/s^2] of the section's axes."""
+    before, _ = cycle.equilibrium.loaded(planned.intact, cycle.X, gravity)
     fresh = cycle.body(cycle.unhealed(before))
     after, _ = cycle.equilibrium.loaded(fresh, cycle.X, gravity, before)
     return before, cycle.extension.fill(after, fresh.fraction)
