@@ -126,7 +126,7 @@ def closure_figure(
     right.set_ylabel("[%]")
     right.set_ylim(-2, 102)
     right.grid(alpha=0.3)
-    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False)
+    right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8, columnspacing=1.0)
     return figure
 
 
