@@ -160,15 +160,16 @@ class Body:
         Rows of nodes that no tissue holds are those of the identity; ``damping`` times the nodal mass [kg/mm] is added
         to the diagonal.
         """
-        parts = _linearisations(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane)
-        return self._assembled(*parts, in_plane, damping * self.lumped_mass(X) if damping else None)
+        elements, skin = _linearisations(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane)
+        return self._assembled(elements, skin, in_plane, damping * self.lumped_mass(X) if damping else None)
 
     def linearised_reference(
         self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, gravity: np.ndarray, *, in_plane: bool
     ) -> tuple[sp.csr_array, Linearised]:
         """The same by the reference positions X."""
-        parts = _reference_linearisations(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane, gravity)
-        return self._assembled(*parts, in_plane)
+        gathered = self._gather(X, x)
+        elements, skin = _reference_linearisations(self._tables, *gathered, J_bar, self._bulk, self._membrane, gravity)
+        return self._assembled(elements, skin, in_plane)
 
     def _assembled(
         self, elements: Linearised, skin: Array, in_plane: bool, added: np.ndarray | None = None
