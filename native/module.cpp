@@ -1,9 +1,11 @@
-// Compiled kernels of cicatrix. Each has a NumPy twin of the same name and arguments; core/native.py chooses.
+// Compiled kernels of cicatrix. Each has a NumPy twin; core/native.py chooses.
 #include <nanobind/nanobind.h>
 
 void bind_philox(nanobind::module_& m);
+void bind_automaton(nanobind::module_& m);
 
 NB_MODULE(_native, m) {
     m.doc() = "Compiled kernels of cicatrix.";
     bind_philox(m);
+    bind_automaton(m);
 }

@@ -9,7 +9,7 @@ import numpy as np
 
 from cicatrix.core.philox import philox4x32
 
-EDGE, MOTILITY, LAYER, PATH, LEVEL_SET = range(5)
+EDGE, MOTILITY, LAYER, PATH, LEVEL_SET, SETTLE = range(6)
 NEIGHBOURS = {
     2: [(1, 0), (-1, 0), (0, 1), (0, -1), (1, -1), (-1, 1)],
     3: [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)],
@@ -24,10 +24,13 @@ class SlowStep:
         self.rules, self.seed, self.step = rules, seed, step
         self.w, self.w_ref = w, w_ref
 
-    def word(self, site, phase, i=0):
+    def word(self, site, phase, i=None):
+        """Word i of the site's own call; without i, the site's word of the call that four sites share."""
         number = 0
         for x, n in zip(site, self.shape):
             number = number * n + x
+        if i is None:
+            number, i = divmod(number, 4)
         counter = [number % 2**32, number // 2**32, self.step, phase]
         key = [self.seed % 2**32, self.seed // 2**32]
         return int(philox4x32(np.array(counter, np.uint32), np.array(key, np.uint32))[i])
@@ -43,7 +46,7 @@ class SlowStep:
         new = set()
         for s in cells:
             free = [q for q in self.around(s) if q not in cells]
-            if len(free) >= self.rules.min_free_neighbours and self.word(s, EDGE) < int(self.rules.p_edge * 2**32):
+            if len(free) >= self.rules.min_free_neighbours and self.word(s, EDGE, 0) < int(self.rules.p_edge * 2**32):
                 new.add(free[self.word(s, EDGE, 1) * len(free) // 2**32])
         return cells | new
 
@@ -91,10 +94,10 @@ class SlowStep:
     def settle(self, s, cells):
         unit = 48 // len(NEIGHBOURS[self.ndim])
         n_free = sum(q not in cells for q in self.around(s))
-        return unit * n_free + self.word(s, PATH, 1) * unit // 2**32
+        return unit * n_free + self.word(s, SETTLE) * unit // 2**32
 
     def distance(self, paths, cells):
-        far = 10**9
+        far = 65535
         d = dict.fromkeys(self.sites, far) | {s: self.settle(s, cells) for s in self.sites - cells}
         while True:
             new = {s: min([d[q] for q in self.around(s)], default=far) + self.cost(s) for s in paths}

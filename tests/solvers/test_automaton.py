@@ -6,16 +6,26 @@ import numpy as np
 import pytest
 from slow_automaton import SlowStep
 
+from cicatrix.core import native
 from cicatrix.core.errors import InputError, InvariantError
 from cicatrix.core.random import ONE
 from cicatrix.geometry.hexgrid import Lattice
-from cicatrix.healing import automaton as module
+from cicatrix.healing import twin
 from cicatrix.healing.automaton import Automaton, AutomatonRules, AutomatonState
 from cicatrix.healing.model import Cue
 from cicatrix.healing.motility import BULK, diffuse
 from cicatrix.healing.window import Window
 
 RULES = AutomatonRules(p_edge=0.2, p_layer=0.05, layer_sites=4, motility_substeps=4)
+
+
+@pytest.fixture(params=["compiled", "twin"], autouse=True)
+def core(request, monkeypatch):
+    """Every test for the compiled core and for its NumPy twin."""
+    if request.param == "compiled" and not native.is_native:
+        pytest.skip("the compiled module is not there")
+    monkeypatch.setattr(native, "is_native", request.param == "compiled")
+    return request.param
 
 
 def lattice_of(shape):
@@ -76,8 +86,9 @@ def test_cells_are_conserved(i):
         state = new
 
 
+@pytest.mark.parametrize("core", ["twin"], indirect=True)
 @pytest.mark.parametrize("i", range(24))
-def test_window_equals_full_lattice(i, monkeypatch):
+def test_window_equals_full_lattice(i, core, monkeypatch):
     automaton, cue = random_case(i)
     in_window = automaton.advance(automaton.initial_state(), cue, 5)
     monkeypatch.setattr(Window, "around", lambda lattice, mask, *_: Window.whole(lattice, mask))
@@ -85,8 +96,9 @@ def test_window_equals_full_lattice(i, monkeypatch):
     np.testing.assert_array_equal(in_window.occupancy, whole.occupancy)
 
 
+@pytest.mark.parametrize("core", ["twin"], indirect=True)
 @pytest.mark.parametrize("redistribution", ["route", "level-set"])
-def test_small_window_of_a_large_lattice_equals_full_lattice(redistribution, monkeypatch):
+def test_small_window_of_a_large_lattice_equals_full_lattice(redistribution, core, monkeypatch):
     rules = AutomatonRules(p_edge=0.2, p_layer=0.1, layer_sites=5, redistribution=redistribution, feedback=1.0)
     open0 = discs((130, 140), [(60, 70), (75, 60)], 7)
     automaton = Automaton(lattice_of(open0.shape), np.ones_like(open0), open0, rules, 8)
@@ -297,7 +309,8 @@ class TestLimits:
 
 
 def test_lost_cells_are_noticed(monkeypatch):
+    monkeypatch.setattr(native, "is_native", False)
     automaton = wound()
-    monkeypatch.setattr(module, "move", lambda window, occupied, *_: (occupied & False, True))
+    monkeypatch.setattr(twin, "move", lambda window, occupied, *_: (occupied & False, True))
     with pytest.raises(InvariantError, match="lost or doubled"):
         automaton.advance(automaton.initial_state())

@@ -11,6 +11,7 @@ from importlib import import_module
 from types import ModuleType
 
 from . import philox
+from .errors import InputError
 
 
 def _compiled() -> ModuleType | None:
@@ -27,4 +28,24 @@ _kernels = _compiled()
 is_native = _kernels is not None
 
 philox4x32 = _kernels.philox4x32 if _kernels is not None else philox.philox4x32
-# The automaton's step takes its seat here; its twin is healing/automaton.py.
+
+
+class _NoFaultError(Exception):
+    """Never raised."""
+
+
+automaton_core = _kernels.AutomatonCore if _kernels is not None else None  # its twin is healing/twin.py
+InvariantFault = _kernels.InvariantFault if _kernels is not None else _NoFaultError
+
+
+def instruction_sets() -> list[str]:
+    """Names of the instruction sets the kernels are compiled for and this machine can run, the best one last."""
+    return _kernels.instruction_sets() if _kernels is not None else []
+
+
+def threads() -> int:
+    """Threads of the compiled kernels: ``CICATRIX_THREADS``, or 1."""
+    text = os.environ.get("CICATRIX_THREADS", "1")
+    if not text.isdecimal() or int(text) < 1:
+        raise InputError(f"CICATRIX_THREADS must be a whole number of at least 1; got {text}")
+    return int(text)

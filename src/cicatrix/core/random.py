@@ -8,7 +8,7 @@ import numpy as np
 
 from .native import philox4x32
 
-__all__ = ["MAX_SEED", "ONE", "Phase", "below", "philox4x32", "site_words", "threshold"]
+__all__ = ["MAX_SEED", "ONE", "Phase", "below", "philox4x32", "site_word", "site_words", "threshold"]
 
 MAX_SEED = 2**64 - 1
 ONE = 1 << 32  # probability 1 on the scale of one 32-bit word
@@ -22,6 +22,7 @@ class Phase(IntEnum):
     LAYER_DIVISION = 2
     PATH_COST = 3
     REDISTRIBUTION_TIE = 4
+    SETTLE = 5
 
 
 def site_words(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarray:
@@ -36,6 +37,16 @@ def site_words(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarr
     counter[..., 2] = step & 0xFFFFFFFF
     counter[..., 3] = int(phase)
     return philox4x32(counter, np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32))
+
+
+def site_word(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarray:
+    """One random word per site: sites (...) [index] -> (...) uint32; four sites share a call of the generator.
+
+    Word ``site mod 4`` of ``site_words`` at ``site div 4``.
+    """
+    site = np.asarray(site).astype(np.uint64)
+    words = site_words(seed, site >> np.uint64(2), step, phase)
+    return np.take_along_axis(words, (site & np.uint64(3)).astype(np.int64)[..., None], axis=-1)[..., 0]
 
 
 def threshold(probability: np.ndarray | float) -> np.ndarray:

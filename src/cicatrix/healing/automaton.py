@@ -8,71 +8,19 @@ the step determine all that follows, bit for bit, on any machine and in any orde
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
+from ..core import native
 from ..core.errors import InputError, InvariantError
-from ..core.random import MAX_SEED, Phase, below, site_words, threshold
+from ..core.random import MAX_SEED
 from ..geometry.hexgrid import Lattice
 from .model import Cue
-from .motility import move
-from .redistribution import level_set, route
-from .window import Window
+from .redistribution import path_noise_limit
+from .rules import AutomatonRules
+from .twin import TwinCore
 
-REDISTRIBUTIONS = ("route", "level-set")
-
-
-@dataclass(frozen=True, kw_only=True)
-class AutomatonRules:
-    """What a cell does in one step.
-
-    Parameters
-    ----------
-    p_edge : float
-        Probability that a cell with a free neighbour divides into it [1].
-    p_layer : float
-        Probability p0 that a cell of the active layer divides, without feedback [1].
-    layer_sites : int
-        Thickness of the active layer: hop distance from the nearest empty site. 0: no layer.
-    motility_substeps : int
-        Diffusion sub-steps per step. 0: cells stay where they are.
-    redistribution : "route" or "level-set"
-        Where daughters of the layer go: along noisy shortest paths, or by diffusion and level set.
-    feedback : float
-        F(W) = feedback W / W_ref; 0 is one-way coupling [1].
-    min_free_neighbours : int
-        Contact inhibition: a cell divides at the edge only with at least so many free neighbours.
-    path_noise : float
-        Largest random addition to the cost of a site on a path, as a fraction of the cost of a hop [1].
-
-    Raises
-    ------
-    InputError
-        If a number is outside its range.
-    """
-
-    p_edge: float
-    p_layer: float
-    layer_sites: int
-    motility_substeps: int = 8
-    redistribution: str = "route"
-    feedback: float = 0.0
-    min_free_neighbours: int = 1
-    path_noise: float = 0.5
-
-    def __post_init__(self):
-        for name in ("p_edge", "p_layer"):
-            _require(0 <= getattr(self, name) <= 1, f"{name} must lie in [0, 1]", getattr(self, name))
-        for name, low in (("layer_sites", 0), ("motility_substeps", 0), ("min_free_neighbours", 1)):
-            value = getattr(self, name)
-            _require(float(value).is_integer() and value >= low, f"{name} must be a whole number >= {low}", value)
-        known = " or ".join(f'"{name}"' for name in REDISTRIBUTIONS)
-        _require(self.redistribution in REDISTRIBUTIONS, f"redistribution must be {known}", self.redistribution)
-        _require(np.isfinite(self.feedback), "feedback must be finite", self.feedback)
-        _require(0 <= self.path_noise <= 16, "path_noise must lie in [0, 16]", self.path_noise)
-        if self.redistribution == "level-set" and self.motility_substeps == 0:
-            raise InputError('AutomatonRules: redistribution = "level-set" needs motility_substeps >= 1; got 0')
+__all__ = ["Automaton", "AutomatonRules", "AutomatonState", "NativeCore"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,111 +125,104 @@ class Automaton:
         InvariantError
             If cells were lost or doubled (a fault of the program).
         """
+        core = self.core(state)
+        counts = core.advance(n_steps, *self.checked(cue or Cue()))
+        last = counts[-1, :4].tolist() if n_steps else ()
+        return AutomatonState(core.occupancy(), core.step, *last)
+
+    def core(self, state: AutomatonState, threads: int | None = None, isa: str = "") -> NativeCore | TwinCore:
+        """Return what does the steps from a state on: the compiled core where there is one, its NumPy twin elsewhere.
+
+        Parameters
+        ----------
+        threads : int, optional
+            Threads of the compiled core; default: ``CICATRIX_THREADS``, or 1. The answer does not depend on it.
+        isa : str
+            Instruction set, one of ``native.instruction_sets()``; "" for the best of this machine.
+        """
         if state.occupancy.shape != self.lattice.shape:
             raise InputError(f"the state's lattice {state.occupancy.shape} is not the automaton's {self.lattice.shape}")
-        chance = _LayerChance.of(self, cue or Cue())
-        for _ in range(n_steps):
-            state = self._step(state, chance)
-        return state
+        arguments = (self.lattice, self.fillable, state.occupancy, self.rules, self.seed, state.step)
+        if not native.is_native:
+            return TwinCore(*arguments)
+        return NativeCore(*arguments, threads=threads or native.threads(), isa=isa)
 
-    def _step(self, state: AutomatonState, chance: _LayerChance) -> AutomatonState:
-        is_open = self.fillable & ~state.occupancy
-        if not is_open.any():
-            return AutomatonState(state.occupancy.copy(), state.step + 1)
-        new = self._step_in(Window.around(self.lattice, self.fillable, is_open, self._margin), state, chance)
-        if new is None:
-            new = self._step_in(Window.whole(self.lattice, self.fillable), state, chance)
-        if new is None:
-            raise InvariantError(f"the whole lattice was called too narrow for the automaton's step {state.step}")
-        return new
+    def checked(self, cue: Cue) -> tuple[np.ndarray, float]:
+        """Return W as (1,) or (n_sites,) float64 array, and W_ref.
 
-    @property
-    def _margin(self) -> int:
-        """Sites beyond the open region that one step can read or write, in hops."""
-        n = self.rules.motility_substeps
-        return n + max(n, self.rules.layer_sites) + 2
-
-    def _step_in(self, window: Window, state: AutomatonState, chance: _LayerChance) -> AutomatonState | None:
-        """One step with the work confined to a window; None if the window is too narrow for it to be exact."""
-        rules, seed, step = self.rules, self.seed, state.step
-        before = window.cut(state.occupancy)
-        divided, n_edge = divide_at_edge(window, before, rules, seed, step)
-        moved, is_exact = move(window, divided, rules.motility_substeps, seed, step)
-        if not is_exact:
-            return None
-        layer = np.flatnonzero(window.within(window.fillable & ~moved, rules.layer_sites) & moved)
-        parents, n_clamped = chance.draw(window, layer, seed, step)
-        after = self._redistribute(window, moved, layer, parents, step)
-        n_placed = int(np.count_nonzero(after)) - int(np.count_nonzero(moved))
-        occupancy = window.paste(after, state.occupancy)
-        new = AutomatonState(occupancy, step + 1, n_edge, n_placed, parents.size - n_placed, n_clamped)
-        _check_count(state, new, self.fillable)
-        return new
-
-    def _redistribute(self, window, moved, layer, parents, step) -> np.ndarray:
-        rules = self.rules
-        if not parents.size:
-            return moved
-        if rules.redistribution == "route":
-            return route(window, moved, layer, parents, rules.path_noise, self.seed, step)
-        reach = max(rules.layer_sites, rules.motility_substeps)
-        return level_set(window, moved, parents, reach, rules.motility_substeps, self.seed, step)
-
-
-def divide_at_edge(
-    window: Window, occupied: np.ndarray, rules: AutomatonRules, seed: int, step: int
-) -> tuple[np.ndarray, int]:
-    """Edge division: (size,) bool -> (size,) bool and the number of divisions.
-
-    A cell with enough free neighbours divides with probability p_edge into one of them, all equally likely. Where
-    several choose the same site it is filled once, and the divisions of the others did not happen.
-    """
-    free = window.fillable & ~occupied
-    cells = np.flatnonzero(window.beside(free) & occupied)
-    is_free = free[cells + window.shifts[:, None]]
-    n_free = is_free.sum(axis=0)
-    words = site_words(seed, window.site(cells), step, Phase.EDGE_DIVISION)
-    divides = (n_free >= rules.min_free_neighbours) & (words[:, 0] < threshold(rules.p_edge))
-    chosen = is_free.cumsum(axis=0) > below(words[:, 1], n_free)
-    target = (cells + window.shifts[chosen.argmax(axis=0)])[divides]
-    result = occupied.copy()
-    result[target] = True
-    return result, int(np.count_nonzero(result) - np.count_nonzero(occupied))
-
-
-class _LayerChance(NamedTuple):
-    """Division probability of the layer before clamping: p0 (1 + F(W)) per site of the lattice, or one number."""
-
-    p: np.ndarray
-
-    @classmethod
-    def of(cls, automaton: Automaton, cue: Cue) -> _LayerChance:
-        w, shape = np.asarray(cue.W, float), automaton.lattice.shape
+        Raises
+        ------
+        InputError
+            If the cue is not finite or does not fit the lattice.
+        """
+        w, shape = np.asarray(cue.W, float), self.lattice.shape
         if w.shape not in ((), shape):
             raise InputError(f"Cue.W must be a number or an array of the lattice's shape {shape}; got {w.shape}")
         if not np.isfinite(w).all():
             raise InputError("Cue.W must be finite at every site; it holds NaN or infinity")
         if not (np.isfinite(cue.W_ref) and cue.W_ref > 0):
             raise InputError(f"Cue.W_ref must be positive (kPa); got {cue.W_ref}")
-        rules = automaton.rules
-        return cls((rules.p_layer * (1 + rules.feedback * w / cue.W_ref)).ravel())
-
-    def draw(self, window: Window, layer: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, int]:
-        """Return the cells of the layer that divide (flat indices), and how many probabilities were clamped at 1."""
-        site = window.site(layer)
-        p = self.p[site] if self.p.size > 1 else np.broadcast_to(self.p, site.shape)
-        word = site_words(seed, site, step, Phase.LAYER_DIVISION)[:, 0]
-        return layer[word < threshold(np.clip(p, 0, 1))], int(np.count_nonzero(p > 1))
+        return np.ascontiguousarray(w).reshape(-1), float(cue.W_ref)
 
 
-def _check_count(old: AutomatonState, new: AutomatonState, fillable: np.ndarray) -> None:
-    expected = old.n_cells + new.n_edge_divisions + new.n_layer_divisions
-    if new.n_cells != expected or new.n_dropped < 0 or (new.occupancy & ~fillable).any():
-        raise InvariantError(
-            f"the automaton lost or doubled cells at step {old.step}: {new.n_cells} cells where {expected} belong"
+class NativeCore:
+    """The compiled core behind the interface of ``TwinCore``."""
+
+    def __init__(
+        self,
+        lattice: Lattice,
+        fillable: np.ndarray,
+        occupancy: np.ndarray,
+        rules: AutomatonRules,
+        seed: int,
+        step: int,
+        *,
+        threads: int = 1,
+        isa: str = "",
+    ) -> None:
+        self.shape = lattice.shape
+        assert native.automaton_core is not None
+        self._cells = native.automaton_core(
+            list(lattice.shape),
+            pack_rows(fillable),
+            pack_rows(occupancy),
+            p_edge=rules.p_edge,
+            p_layer=rules.p_layer,
+            layer_sites=rules.layer_sites,
+            motility_substeps=rules.motility_substeps,
+            level_set=rules.redistribution == "level-set",
+            feedback=rules.feedback,
+            min_free_neighbours=rules.min_free_neighbours,
+            path_noise=path_noise_limit(rules.path_noise),
+            seed=seed,
+            step=step,
+            threads=threads,
+            isa=isa,
         )
 
+    @property
+    def step(self) -> int:
+        """Steps done."""
+        return self._cells.step
 
-def _require(is_fine: bool, rule: str, value: object) -> None:
-    if not is_fine:
-        raise InputError(f"AutomatonRules.{rule}; got {value}")
+    def occupancy(self) -> np.ndarray:
+        """Sites that hold a cell: bool array of the lattice's shape."""
+        return unpack_rows(self._cells.occupancy(), self.shape)
+
+    def advance(self, n_steps: int, W: np.ndarray, W_ref: float) -> np.ndarray:
+        """As ``TwinCore.advance``."""
+        try:
+            return self._cells.advance(n_steps, W, W_ref)
+        except native.InvariantFault as error:
+            raise InvariantError(f"the automaton at step {self.step}: {error}") from error
+
+
+def pack_rows(mask: np.ndarray) -> np.ndarray:
+    """Rows along the last axis as bits, least significant first, each in whole bytes: bool -> (n_bytes,) uint8."""
+    return np.packbits(mask.reshape(-1, mask.shape[-1]), axis=1, bitorder="little").ravel()
+
+
+def unpack_rows(packed: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """Undo ``pack_rows``: (n_bytes,) uint8 -> bool array of a shape."""
+    rows = packed.reshape(int(np.prod(shape[:-1])), -1)
+    return np.unpackbits(rows, axis=1, count=shape[-1], bitorder="little").reshape(shape).view(bool)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.random import Phase, site_words
+from ..core.random import Phase, site_word
 from .window import Window
 
 BULK = {2: 8191, 3: 4095}  # U of an undisturbed cell: 13 and 12 bits, so that the sums fit into 16 bits
@@ -76,5 +76,5 @@ def largest(
     level = int(np.flatnonzero(at_least >= count)[-1])
     above, ties = candidates[values > level], candidates[values == level]
     site = window.site(ties)
-    order = np.lexsort((site, site_words(seed, site, step, phase)[:, 0]))
+    order = np.lexsort((site, site_word(seed, site, step, phase)))
     return level, np.concatenate([above, ties[order[: count - above.size]]])

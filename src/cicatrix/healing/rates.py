@@ -20,7 +20,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.errors import InputError
-from .automaton import AutomatonRules
+from .rules import AutomatonRules
 
 CELL_UM = 10.0  # the pitch at which one site is one cell, and at which the rates are given
 

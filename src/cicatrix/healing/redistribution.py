@@ -12,14 +12,19 @@ from __future__ import annotations
 import numpy as np
 from scipy.ndimage import label
 
-from ..core.random import Phase, below, site_words
+from ..core.random import Phase, below, site_word
 from .motility import diffuse, largest
 from .window import Window
 
 HOP_COST = 64  # cost of one occupied site of a path, without noise
 SETTLE_COST = 48  # cost of settling where no neighbour is occupied
-FAR = np.int32(1 << 30)
+FAR = np.int32(65535)  # no path, and the distance that counts as none
 WHOLE_LAYER = 0  # as a reach: no limit, for the first round
+
+
+def path_noise_limit(noise: float) -> int:
+    """Largest whole number that noise (a share of the cost of a hop) adds to the cost of a site."""
+    return int(HOP_COST * noise)
 
 
 def route(
@@ -67,15 +72,15 @@ class _Descent:
         self.layer = layer
 
     def _open_paths(self, sites: np.ndarray) -> None:
-        word = site_words(self.seed, self.window.site(sites), self.step, Phase.PATH_COST)[:, 0]
-        self.cost[sites] = HOP_COST + below(word, int(HOP_COST * self.noise) + 1)
+        word = site_word(self.seed, self.window.site(sites), self.step, Phase.PATH_COST)
+        self.cost[sites] = HOP_COST + below(word, path_noise_limit(self.noise) + 1)
         self.distance[sites] = FAR
 
     def _price(self, sites: np.ndarray) -> None:
         """Set d at empty sites: the fewer occupied neighbours, the dearer to settle there."""
         unit = SETTLE_COST // len(self.window.shifts)
         n_free = self.free[sites + self.window.shifts[:, None]].sum(axis=0)
-        word = site_words(self.seed, self.window.site(sites), self.step, Phase.PATH_COST)[:, 1]
+        word = site_word(self.seed, self.window.site(sites), self.step, Phase.SETTLE)
         self.distance[sites] = unit * n_free + below(word, unit)
 
     def fill(self, sites: np.ndarray) -> None:
@@ -93,7 +98,7 @@ class _Descent:
         while tokens.size:
             near, is_all = self._near(tokens, reach)
             self._solve(near)
-            known = self.distance[tokens] < (FAR if is_all else HOP_COST * (reach + 1))
+            known = self.distance[tokens] < (FAR if is_all else min(FAR, HOP_COST * (reach + 1)))
             done.append(self._descend(tokens[known]))
             self.distance[near] = FAR
             if is_all:

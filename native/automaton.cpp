@@ -1,0 +1,956 @@
+#include "automaton.hpp"
+
+#include <algorithm>
+#include <cmath>
+#include <cstring>
+#include <numeric>
+#include <string>
+
+#include "band.hpp"
+#include "kernels.hpp"
+#include "philox.hpp"
+#include "pool.hpp"
+
+namespace cicatrix {
+namespace {
+
+enum Phase : uint32_t { kEdgeDivision, kMotilityTie, kLayerDivision, kPathCost, kRedistributionTie, kSettle };
+
+constexpr uint32_t kHopCost = 64, kSettleCost = 48;
+constexpr size_t kBlocksPerPiece = 1024;  // less is not worth a thread's while
+constexpr size_t kBlocksPerWave = 64;     // some of them fit into the first cache, with all their sub-steps
+
+// The band was too narrow for the step to be exact: the step is done again in a wider one.
+struct TooNarrow {};
+
+inline uint32_t below(uint32_t word, uint64_t n) { return static_cast<uint32_t>((uint64_t{word} * n) >> 32); }
+
+// Integer form of a probability: an event happens where word < threshold.
+inline uint64_t threshold(double p) { return static_cast<uint64_t>(std::floor(p * 4294967296.0)); }
+
+inline int popcount(uint32_t x) {  // the baseline of x86-64 has no instruction for it
+    x -= x >> 1 & 0x55555555u;
+    x = (x & 0x33333333u) + (x >> 2 & 0x33333333u);
+    return static_cast<int>(((x + (x >> 4)) & 0x0F0F0F0Fu) * 0x01010101u >> 24);
+}
+
+using Site = uint32_t;  // id * 32 + lane
+
+// One random word per site of a list, four sites to a call of the generator.
+class Words {
+   public:
+    void clear() { sites_.clear(), groups_.clear(), places_.clear(); }
+
+    void add(Site site, uint64_t number) {
+        const uint64_t group = number >> 2;
+        if (groups_.empty() || groups_.back() != group) groups_.push_back(group);
+        sites_.push_back(site);
+        places_.push_back(static_cast<uint32_t>(4 * (groups_.size() - 1) + (number & 3)));
+    }
+
+    void draw(const Kernels& kernels, uint64_t step, Phase phase, const uint32_t* key) {
+        words_.resize(4 * groups_.size());
+        kernels.philox(groups_.data(), groups_.size(), static_cast<uint32_t>(step), phase, key, words_.data());
+    }
+
+    size_t size() const { return sites_.size(); }
+    Site site(size_t i) const { return sites_[i]; }
+    uint32_t word(size_t i) const { return words_[places_[i]]; }
+
+   private:
+    std::vector<Site> sites_;
+    std::vector<uint64_t> groups_;
+    std::vector<uint32_t> places_, words_;
+};
+
+template <int D>
+class Core final : public AutomatonCore {
+    using G = Geometry<D>;
+
+   public:
+    Core(const std::vector<int64_t>& shape, const uint8_t* fillable, const uint8_t* occupied, const Rules& rules,
+         int64_t step, int threads, const Kernels& kernels)
+        : rows_(shape), rules_(rules), key_{static_cast<uint32_t>(rules.seed), static_cast<uint32_t>(rules.seed >> 32)},
+          kernels_(kernels), by_(kernels.dimension[D - 2]), pool_(threads), fillable_(rows_.count() * rows_.blocks),
+          occupied_(fillable_.size()), band_(rows_), step_(step) {
+        read(fillable, fillable_);
+        read(occupied, occupied_);
+        for (size_t i = 0; i < fillable_.size(); ++i) {
+            n_fillable_ += popcount(fillable_[i]);
+            n_cells_ += popcount(occupied_[i]);
+        }
+        find_front();
+    }
+
+    Counts advance(const double* W, bool per_site, double W_ref) override {
+        W_ = W, W_per_site_ = per_site, W_ref_ = W_ref;
+        Counts counts;
+        if (n_open() > 0) {
+            int64_t reach = first_reach();
+            for (bool whole = false;; whole = reach > longest() || too_flat_) {
+                too_flat_ = false;
+                try {
+                    counts = step_within(reach, whole);
+                    break;
+                } catch (const TooNarrow&) {
+                    if (whole) throw InvariantFault("the whole lattice was called too narrow for a step of the automaton");
+                    reach = 2 * reach;
+                }
+            }
+        }
+        step_ += 1;
+        return counts;
+    }
+
+    void occupancy(uint8_t* out) const override {
+        const int64_t bytes = (rows_.width + 7) / 8;
+        for (int64_t n = 0; n < rows_.n_inner_rows(); ++n) {
+            const uint32_t* row = occupied_.data() + rows_.framed(n) * rows_.blocks + 1;
+            for (int64_t i = 0; i < bytes; ++i) *out++ = static_cast<uint8_t>(row[i / 4] >> 8 * (i % 4));
+        }
+    }
+
+    int64_t n_cells() const override { return n_cells_; }
+    int64_t n_open() const override { return n_fillable_ - n_cells_; }
+    int64_t step() const override { return step_; }
+    Work work() const override {
+        Work work = work_;
+        work.stored_blocks = band_.size(), work.active_blocks = static_cast<int64_t>(band_.active.size());
+        work.bytes = band_.bytes();
+        for (const auto* v : {&fillable_, &occupied_, &cells_, &fill_, &free_, &zone_[0], &zone_[1], &layer_bits_,
+                              &scratch_, &above_, &equal_, &stamp_})
+            work.bytes += static_cast<int64_t>(4 * v->capacity());
+        for (const auto* v : {&density_[0], &density_[1], &own_, &cost_, &distance_})
+            work.bytes += static_cast<int64_t>(2 * v->capacity());
+        return work;
+    }
+
+   private:
+    // ---------------------------------------------------------------- the lattice
+
+    void read(const uint8_t* in, std::vector<uint32_t>& bits) const {
+        const int64_t bytes = (rows_.width + 7) / 8;
+        for (int64_t n = 0; n < rows_.n_inner_rows(); ++n) {
+            uint32_t* row = bits.data() + rows_.framed(n) * rows_.blocks + 1;
+            for (int64_t i = 0; i < bytes; ++i) row[i / 4] |= uint32_t{*in++} << 8 * (i % 4);
+        }
+    }
+
+    // Hops beyond the front that a step works on: the densities that change, and the layer, should the front not move by more
+    // than two hops. Where it does, that is noticed.
+    int64_t first_reach() const {
+        const int64_t zone = rules_.level_set ? std::max(rules_.layer_sites, rules_.substeps) : rules_.layer_sites;
+        return std::max(core_reach() + 1, zone + 3);
+    }
+
+    int64_t core_reach() const { return (rules_.level_set ? 2 : 1) * rules_.substeps + 1; }
+
+    int64_t longest() const { return *std::max_element(rows_.shape.begin(), rows_.shape.begin() + D); }
+
+    uint32_t free_word(int64_t word) const { return fillable_[word] & ~occupied_[word]; }
+
+    // Bit j is the neighbour of lane j in a direction; at(i) is the word i blocks to the right.
+    template <class At>
+    static uint32_t seen(At&& at, int lane) {
+        if (lane == 0) return at(0);
+        return lane > 0 ? (at(0) >> 1) | (at(1) << 31) : (at(0) << 1) | (at(-1) >> 31);
+    }
+
+    // Free sites with a neighbour that is not free, over the whole lattice.
+    void find_front() {
+        front_.clear();
+        for (int64_t n = 0; n < rows_.n_inner_rows(); ++n) {
+            const int64_t first = rows_.framed(n) * rows_.blocks;
+            for (int64_t word = first + 1; word < first + rows_.blocks - 1; ++word) {
+                uint32_t edge = free_word(word);
+                if (!edge) continue;
+                uint32_t all = ~0u;
+                for (const Direction& d : G::neighbour) {
+                    const int64_t beside = word + rows_.stride(d.row) * rows_.blocks;
+                    all &= seen([&](int i) { return free_word(beside + i); }, d.lane);
+                }
+                note_front(word, edge & ~all, front_);
+            }
+        }
+    }
+
+    static void note_front(int64_t word, uint32_t edge, std::vector<Front>& front) {
+        if (edge) front.push_back({word, __builtin_ctz(edge), 31 - __builtin_clz(edge)});
+    }
+
+    // ---------------------------------------------------------------- one step
+
+    Counts step_within(int64_t reach, bool whole) {
+        is_whole_ = whole;
+        band_.build(front_, reach, core_reach(), whole);
+        load();
+        Counts counts;
+        counts.edge = divide_at_edge();
+        move();
+        find_layer(rules_.layer_sites);
+        work_.layer_cells = count_bits(layer_, layer_bits());
+        const std::vector<Site> parents = divide_in_layer(counts.clamped);
+        if (!parents.empty()) {
+            const int64_t before = n_occupied();
+            rules_.level_set ? level_set(parents) : route(parents);
+            counts.layer = n_occupied() - before;
+            counts.dropped = static_cast<int64_t>(parents.size()) - counts.layer;
+        }
+        write_back(counts);
+        return counts;
+    }
+
+    // Sites of the band, in blocks: cells, sites that can be filled, free sites.
+    void load() {
+        const size_t n = band_.size();
+        cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2);
+        for (size_t id = 0; id < n; ++id) {
+            const int64_t word = band_.word[id];
+            cells()[id] = occupied_[word], fill()[id] = fillable_[word];
+            free()[id] = fill()[id] & ~cells()[id];
+        }
+    }
+
+    uint32_t* cells() { return cells_.data() + 1; }
+    uint32_t* fill() { return fill_.data() + 1; }
+    uint32_t* free() { return free_.data() + 1; }
+
+    int64_t n_occupied() { return count_bits(band_.active, cells()); }
+
+    int64_t count_bits(const std::vector<int32_t>& ids, const uint32_t* bits) const {
+        return kernels_.count_bits(Ids{ids.data(), ids.size()}, bits);
+    }
+
+    Draw random(Phase phase) const {
+        return {band_.first_site.data(), static_cast<uint32_t>(step_), phase, {key_[0], key_[1]}};
+    }
+
+    uint64_t number(Site site) const { return band_.first_site[site >> 5] + (site & 31); }
+
+    // All neighbours of a site, in the order of the specification.
+    struct Around {
+        Site site[G::directions];
+        const Site* begin() const { return site; }
+        const Site* end() const { return site + G::directions; }
+    };
+
+    Around around(Site site) const {
+        const int32_t id = site >> 5, lane = site & 31;
+        if (!band_.is_active[id]) throw TooNarrow();
+        int32_t row[G::rows];
+        for (int k = 0; k < G::rows; ++k) row[k] = band_.beside(k, id) * kLanes + lane;
+        Around out;
+        for (int k = 0; k < G::directions; ++k)
+            out.site[k] = static_cast<Site>(row[G::neighbour[k].row] + G::neighbour[k].lane);
+        return out;
+    }
+
+    static bool has(const uint32_t* bits, Site site) { return bits[site >> 5] >> (site & 31) & 1; }
+
+    void settle_at(Site site) {
+        cells()[site >> 5] |= 1u << (site & 31);
+        free()[site >> 5] &= ~(1u << (site & 31));
+    }
+
+    // Share out a list of blocks: job(piece number, ids).
+    template <class Job>
+    void pieces(const std::vector<int32_t>& ids, Job&& job) {
+        const size_t n = ids.size();
+        const int count = static_cast<int>(
+            std::max<size_t>(1, std::min<size_t>(4 * pool_.threads(), n / kBlocksPerPiece)));
+        const int used = pool_.threads() == 1 ? 1 : count;
+        pool_.each(used, [&](int i) {
+            const size_t first = n * i / used, last = n * (i + 1) / used;
+            job(i, Ids{ids.data() + first, last - first});
+        });
+    }
+
+    int most_pieces() const { return 4 * pool_.threads(); }
+
+    // ---------------------------------------------------------------- edge division
+
+    int64_t divide_at_edge() {
+        std::vector<std::vector<Site>> targets(most_pieces());
+        const uint64_t limit = threshold(rules_.p_edge);
+        if (limit > 0) pieces(band_.core, [&](int i, Ids ids) { edge_targets(ids, limit, targets[i]); });
+        int64_t n = 0;
+        work_.edge_cells = count_bits(band_.core, scratch());
+        for (const auto& part : targets)
+            for (Site site : part)
+                if (!has(cells(), site)) settle_at(site), ++n;
+        return n;
+    }
+
+    void edge_targets(Ids ids, uint64_t limit, std::vector<Site>& targets) {
+        by_.touching(ids, band_.beside(), cells(), free(), scratch());
+        std::vector<uint64_t> numbers;
+        std::vector<std::pair<Site, uint32_t>> sites;  // and its free neighbours, one bit for each direction
+        for (size_t i = 0; i < ids.count; ++i)
+            for (uint32_t left = scratch()[ids.first[i]]; left; left &= left - 1) {
+                const Site site = static_cast<Site>(ids.first[i]) * kLanes + __builtin_ctz(left);
+                uint32_t directions = 0, bit = 1;
+                for (Site other : around(site)) directions |= has(free(), other) ? bit : 0, bit <<= 1;
+                if (popcount(directions) < rules_.min_free) continue;
+                sites.emplace_back(site, directions);
+                numbers.push_back(number(site));
+            }
+        std::vector<uint32_t> words(4 * numbers.size());
+        kernels_.philox(numbers.data(), numbers.size(), static_cast<uint32_t>(step_), kEdgeDivision, key_, words.data());
+        for (size_t i = 0; i < sites.size(); ++i) {
+            if (words[4 * i] >= limit) continue;
+            uint32_t directions = sites[i].second;
+            for (uint32_t skip = below(words[4 * i + 1], popcount(directions)); skip; --skip) directions &= directions - 1;
+            targets.push_back(around(sites[i].first).site[__builtin_ctz(directions)]);
+        }
+    }
+
+    // ---------------------------------------------------------------- motility
+
+    void move() {
+        if (rules_.substeps == 0) return;
+        const int64_t count = count_bits(band_.core, cells());
+        if (count == 0) return;
+        const uint16_t* u = diffuse();
+        const auto [level, above] = level_of(u, count);
+        if (!is_whole_ && !(0 < level && level < G::bulk)) {
+            too_flat_ = true;
+            throw TooNarrow();
+        }
+        keep_level(u, level, count - above);
+    }
+
+    // Integer density after all sub-steps, in the core of the band and right beside it.
+    const uint16_t* diffuse() {
+        const size_t n = kLanes * (band_.size() + 2);
+        density_[0].resize(n), density_[1].resize(n);
+        uint16_t* u[2] = {density_[0].data() + kLanes, density_[1].data() + kLanes};
+        pieces(band_.rim, [&](int, Ids ids) {
+            kernels_.expand(ids, cells(), G::bulk, u[0]);
+            kernels_.expand(ids, cells(), G::bulk, u[1]);
+        });
+        find_plain();
+        auto sub_step = [&](int64_t i, Ids ids) {
+            const uint16_t* own = own_.data() + kLanes;
+            if (i == 0)
+                by_.start(ids, band_.beside(), plain_.data(), own, fill(), cells(), u[1]);
+            else
+                by_.diffuse(ids, band_.beside(), plain_.data(), own, fill(), u[i & 1], u[(i + 1) & 1]);
+        };
+        if (pool_.threads() == 1)
+            in_waves(sub_step);
+        else
+            for (int64_t i = 0; i < rules_.substeps; ++i) pieces(band_.core, [&](int, Ids ids) { sub_step(i, ids); });
+        return u[rules_.substeps & 1];
+    }
+
+    // All sub-steps while the planes they need are in the cache: plane p does sub-step i when plane p + 1 has done i - 1.
+    template <class SubStep>
+    void in_waves(SubStep&& sub_step) {
+        const std::vector<size_t> cuts = slabs(band_.core, kBlocksPerWave);
+        const int64_t n = static_cast<int64_t>(cuts.size()) - 1;
+        for (int64_t wave = 0; wave < n + rules_.substeps - 1; ++wave)
+            for (int64_t i = std::max<int64_t>(0, wave - n + 1); i <= std::min(wave, rules_.substeps - 1); ++i) {
+                const size_t first = cuts[wave - i], last = cuts[wave - i + 1];
+                sub_step(i, Ids{band_.core.data() + first, last - first});
+            }
+    }
+
+    // Blocks around which every site can be filled need no weights of their own.
+    void find_plain() {
+        plain_.resize(band_.size());
+        bool all = true;
+        for (int32_t id : band_.core) {
+            uint32_t full = ~0u;
+            for (int k = 0; k < G::rows; ++k) {
+                const uint32_t* here = fill() + band_.beside(k, id);
+                full &= here[-1] & here[0] & here[1];
+            }
+            plain_[id] = full == ~0u;
+            all &= full == ~0u;
+        }
+        if (all) return;
+        own_.resize(kLanes * (band_.size() + 2));
+        pieces(band_.core, [&](int, Ids ids) {
+            by_.weigh(ids, band_.beside(), plain_.data(), fill(), own_.data() + kLanes);
+        });
+    }
+
+    // The level U0 that `count` fillable sites of the core reach, and how many lie above it: by bisection.
+    std::pair<uint16_t, int64_t> level_of(const uint16_t* u, int64_t count) {
+        mixed_.resize(band_.core.size());
+        int64_t n_bulk = 0;
+        mixed_.resize(kernels_.mixed(Ids{band_.core.data(), band_.core.size()}, u, G::bulk, mixed_.data(), &n_bulk));
+        work_.mixed_sites = kLanes * static_cast<int64_t>(mixed_.size());
+        auto from = [&](uint32_t level) {
+            std::vector<int64_t> parts(most_pieces(), 0);
+            pieces(mixed_, [&](int i, Ids ids) { parts[i] = kernels_.count_from(ids, u, static_cast<uint16_t>(level)); });
+            return std::accumulate(parts.begin(), parts.end(), kLanes * n_bulk);
+        };
+        uint32_t low = 0, high = G::bulk + 1;  // from(low) >= count > from(high)
+        int64_t above = 0;
+        while (high - low > 1) {
+            const uint32_t middle = (low + high) / 2;
+            const int64_t reached = from(middle);
+            if (reached >= count)
+                low = middle;
+            else
+                high = middle, above = reached;
+        }
+        return {static_cast<uint16_t>(low), above};
+    }
+
+    // The same from a histogram.
+    static std::pair<uint16_t, int64_t> level_of(const std::vector<uint32_t>& histogram, int64_t count) {
+        int64_t above = 0;
+        for (size_t level = histogram.size(); level-- > 0;) {
+            if (above + histogram[level] >= count) return {static_cast<uint16_t>(level), above};
+            above += histogram[level];
+        }
+        throw InvariantFault("the automaton looked for more cells than there are sites");
+    }
+
+    // Cells sit where U > level, and at `wanted` of the sites at the level.
+    void keep_level(const uint16_t* u, uint16_t level, int64_t wanted) {
+        above_.resize(band_.size()), equal_.resize(band_.size());
+        pieces(band_.core, [&](int, Ids ids) { kernels_.compare(ids, u, level, above_.data(), equal_.data()); });
+        words_.clear();
+        for (int32_t id : band_.core) {
+            cells()[id] = above_[id] & fill()[id];
+            free()[id] = fill()[id] & ~cells()[id];
+            for (uint32_t left = equal_[id] & fill()[id]; left; left &= left - 1)
+                add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
+        }
+        for (Site site : first_of(kMotilityTie, wanted)) settle_at(site);
+    }
+
+    void add_word(Site site) { words_.add(site, number(site)); }
+
+    // The `wanted` sites in words_ with the least (word, number); ids rise with the number.
+    std::vector<Site> first_of(Phase phase, int64_t wanted) {
+        std::vector<std::pair<uint32_t, Site>> order(words_.size());
+        if (wanted < static_cast<int64_t>(order.size())) words_.draw(kernels_, step_, phase, key_);
+        const bool is_all = wanted >= static_cast<int64_t>(order.size());
+        for (size_t i = 0; i < order.size(); ++i) order[i] = {is_all ? 0 : words_.word(i), words_.site(i)};
+        if (!is_all) std::nth_element(order.begin(), order.begin() + wanted, order.end());
+        std::vector<Site> first;
+        for (int64_t i = 0; i < std::min<int64_t>(wanted, order.size()); ++i) first.push_back(order[i].second);
+        return first;
+    }
+
+    // ---------------------------------------------------------------- layer division
+
+    // Sites within some hops of a free one, whatever lies between.
+    void find_zone(int64_t hops) {
+        zone_[0] = free_, zone_[1] = free_;
+        for (int64_t i = 0; i < hops; ++i) {
+            pieces(band_.active, [&](int, Ids ids) {
+                by_.dilate(ids, band_.beside(), zone_[0].data() + 1, zone_[1].data() + 1);
+            });
+            std::swap(zone_[0], zone_[1]);
+        }
+        for (int32_t id : band_.outer)  // what would spread from here to blocks that are not active
+            require_inside(id, zone_[0][id + 1] & ~free()[id]);
+    }
+
+    // All neighbours of these sites of a block lie in active blocks, or beyond the lattice.
+    void require_inside(int32_t id, uint32_t sites) const {
+        if (!sites) return;
+        for (const Direction& d : G::neighbour) {
+            const int32_t other = band_.beside(d.row, id);
+            const bool left = d.lane < 0 && (sites & 1u), right = d.lane > 0 && sites >> 31;
+            if (leads_out(other) || (left && leads_out(other - 1)) || (right && leads_out(other + 1))) throw TooNarrow();
+        }
+    }
+
+    bool leads_out(int32_t id) const { return !band_.is_active[id] && !band_.is_frame[id]; }
+
+    void find_layer(int64_t hops) {
+        find_zone(hops);
+        layer_.clear();
+        layer_bits_.assign(band_.size() + 2, 0);
+        for (int32_t id : band_.active)
+            if (const uint32_t bits = zone_[0][id + 1] & cells()[id]) {
+                layer_.push_back(id);
+                layer_bits_[id + 1] = bits;
+            }
+    }
+
+    uint32_t* layer_bits() { return layer_bits_.data() + 1; }
+    uint32_t* scratch() { return scratch_.data() + 1; }
+
+    std::vector<Site> divide_in_layer(int64_t& n_clamped) {
+        std::vector<Site> parents;
+        n_clamped = 0;
+        if (rules_.p_layer == 0.0 || layer_.empty()) return parents;
+        if (W_per_site_) return divide_by_site(n_clamped);
+        const uint64_t limit = limit_at(*W_, n_clamped, count_bits(layer_, layer_bits()));
+        if (limit == 0) return parents;
+        pieces(layer_, [&](int, Ids ids) { kernels_.draw(ids, random(kLayerDivision), layer_bits(), limit, scratch()); });
+        for (int32_t id : layer_)
+            for (uint32_t left = scratch()[id]; left; left &= left - 1)
+                parents.push_back(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
+        return parents;
+    }
+
+    std::vector<Site> divide_by_site(int64_t& n_clamped) {
+        std::vector<Site> parents;
+        words_.clear();
+        for (int32_t id : layer_)
+            for (uint32_t left = layer_bits()[id]; left; left &= left - 1)
+                add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
+        words_.draw(kernels_, step_, kLayerDivision, key_);
+        for (size_t i = 0; i < words_.size(); ++i)
+            if (words_.word(i) < limit_at(W_[number(words_.site(i))], n_clamped, 1)) parents.push_back(words_.site(i));
+        return parents;
+    }
+
+    // The operations and their order are those of the twin, so that the bits are.
+    uint64_t limit_at(double W, int64_t& n_clamped, int64_t n_sites) const {
+        const double p = rules_.p_layer * (1.0 + rules_.feedback * W / W_ref_);
+        if (p > 1.0) n_clamped += n_sites;
+        return threshold(std::min(std::max(p, 0.0), 1.0));
+    }
+
+    // ---------------------------------------------------------------- redistribution along paths
+
+    void route(const std::vector<Site>& parents) {
+        open_paths();
+        relax_layer();
+        std::vector<Site> tokens;
+        for (Site site : parents)
+            if (distance()[site] < kFar) tokens.push_back(descend(site));
+        for (int32_t id : layer_) std::fill_n(distance() + kLanes * size_t(id), kLanes, kFar);
+        for (tokens = land(tokens); !tokens.empty(); tokens = land(tokens)) tokens = walk(tokens);
+    }
+
+    uint16_t* cost() { return cost_.data() + kLanes; }
+    uint16_t* distance() { return distance_.data() + kLanes; }
+
+    // Costs of the layer, prices of the empty sites beside it.
+    void open_paths() {
+        const size_t n = kLanes * (band_.size() + 2);
+        cost_.resize(n), distance_.resize(n), stamp_.resize(n, 0);
+        ready_.assign(band_.size() + 2, 0);
+        for (int32_t id : layer_) prepare_around(id);
+        pieces(layer_, [&](int, Ids ids) {
+            kernels_.random_values(ids, random(kPathCost), layer_bits(), kHopCost, rules_.path_noise + 1, cost());
+        });
+        shore_.clear();
+        for (int32_t id : band_.active)
+            if (free()[id] && ready_[id + 1]) shore_.push_back(id);
+        pieces(shore_, [&](int, Ids ids) { by_.touching(ids, band_.beside(), free(), layer_bits(), scratch()); });
+        shore_.erase(std::remove_if(shore_.begin(), shore_.end(), [this](int32_t id) { return !scratch()[id]; }),
+                     shore_.end());
+        work_.shore_sites = count_bits(shore_, scratch());
+        pieces(shore_, [&](int, Ids ids) {
+            kernels_.random_values(ids, random(kSettle), free(), kNoPath, kUnit, cost());
+            by_.price(ids, band_.beside(), free(), scratch(), kUnit, cost(), distance());
+        });
+    }
+
+    static constexpr uint16_t kUnit = kSettleCost / G::directions;
+
+    // Blocks have no paths until something looks at them.
+    void prepare_around(int32_t id) {
+        for (int k = 0; k < G::rows; ++k)
+            for (int32_t other = band_.beside(k, id) - 1, last = other + 2; other <= last; ++other) {
+                if (ready_[other + 1]) continue;
+                ready_[other + 1] = 1;
+                std::fill_n(cost() + kLanes * size_t(other), kLanes, kFar);
+                std::fill_n(distance() + kLanes * size_t(other), kLanes, kFar);
+            }
+        ready_[id + 1] = 2;
+    }
+
+    Around paths_around(Site site) {
+        const Around all = around(site);
+        if (const int32_t id = site >> 5; ready_[id + 1] != 2) prepare_around(id);
+        return all;
+    }
+
+    // The fewer cells beside an empty site, the dearer it is to settle there.
+    void price(Site site) {
+        if (cost()[site] == kFar) cost()[site] = static_cast<uint16_t>(kNoPath + below(word_at(site, kSettle), kUnit));
+        uint32_t n_free = 0;
+        for (Site other : around(site)) n_free += has(free(), other);
+        distance()[site] = static_cast<uint16_t>(kUnit * n_free + cost()[site] - kNoPath);
+    }
+
+    uint32_t word_at(Site site, Phase phase) const {
+        uint32_t words[4];
+        const uint64_t group = number(site) >> 2;
+        philox_block(static_cast<uint32_t>(group), static_cast<uint32_t>(group >> 32), static_cast<uint32_t>(step_), phase,
+                     key_[0], key_[1], words);
+        return words[number(site) & 3];
+    }
+
+    // Solve d = cost + least neighbour in the layer. Pieces are slabs of the first axis, so that every other one can be
+    // worked on at once without reading what another writes; the solution is unique, whatever the order.
+    void relax_layer() {
+        dirty_.assign(band_.size() + 2, 0);
+        for (int32_t id : layer_) dirty_[id + 1] = 1;
+        const size_t size = std::max<size_t>(layer_.size() / (4 * pool_.threads()), kBlocksPerPiece);
+        const std::vector<size_t> cuts = slabs(layer_, pool_.threads() == 1 ? layer_.size() : size);
+        const int n = static_cast<int>(cuts.size()) - 1;
+        for (bool changed = true; changed;) {
+            std::vector<uint8_t> moved(n, 0);
+            for (int parity = 0; parity < 2; ++parity)
+                pool_.each((n + 1 - parity) / 2, [&](int i) {
+                    const int slab = 2 * i + parity;
+                    const Ids ids{layer_.data() + cuts[slab], cuts[slab + 1] - cuts[slab]};
+                    moved[slab] = by_.relax(ids, band_.beside(), cost(), distance(), dirty_.data() + 1);
+                });
+            changed = n > 1 && std::any_of(moved.begin(), moved.end(), [](uint8_t m) { return m != 0; });
+        }
+    }
+
+    // Cut a list of blocks between planes of the first axis, into parts of at least `size` blocks.
+    std::vector<size_t> slabs(const std::vector<int32_t>& ids, size_t size) const {
+        std::vector<size_t> cuts{0};
+        for (size_t i = 1; i < ids.size(); ++i)
+            if (i - cuts.back() >= size && plane(ids[i]) > plane(ids[i - 1])) cuts.push_back(i);
+        cuts.push_back(ids.size());
+        return cuts;
+    }
+
+    int64_t plane(int32_t id) const { return band_.word[id] / rows_.blocks / rows_.inner; }
+
+    // Walk to the neighbour of least distance, the first among equals, until the site is free.
+    Site descend(Site site) {
+        while (!has(free(), site)) {
+            const Around others = paths_around(site);
+            Site best = others.site[0];
+            for (Site other : others)
+                if (distance()[other] < distance()[best]) best = other;
+            site = best;
+        }
+        return site;
+    }
+
+    // One token of each site stays there; returns the others.
+    std::vector<Site> land(std::vector<Site>& tokens) {
+        std::sort(tokens.begin(), tokens.end());
+        std::vector<Site> rest;
+        for (size_t i = 0; i < tokens.size(); ++i) {
+            if (i > 0 && tokens[i] == tokens[i - 1]) {
+                rest.push_back(tokens[i]);
+                continue;
+            }
+            const Site site = tokens[i];
+            paths_around(site);
+            settle_at(site);
+            cost()[site] = static_cast<uint16_t>(kHopCost + below(word_at(site, kPathCost), rules_.path_noise + 1));
+            distance()[site] = kFar;
+        }
+        return rest;
+    }
+
+    // Move tokens to free sites, those without a path are dropped. The field is solved near the tokens only: a path that
+    // leaves `reach` hops costs at least 64 (reach + 1), so smaller distances are exact; for the others it is doubled.
+    std::vector<Site> walk(std::vector<Site> tokens) {
+        std::vector<Site> done;
+        for (int64_t reach = 2; !tokens.empty(); reach *= 2) {
+            const bool is_all = find_near(tokens, reach);
+            solve_near();
+            const uint64_t exact = is_all ? uint64_t{kFar} : std::min<uint64_t>(kFar, kHopCost * (reach + 1));
+            std::vector<Site> far;
+            for (Site site : tokens) {
+                if (distance()[site] < exact)
+                    done.push_back(descend(site));
+                else if (!is_all)
+                    far.push_back(site);
+            }
+            for (Site site : near_) distance()[site] = kFar;
+            tokens = std::move(far);
+        }
+        return done;
+    }
+
+    bool find_near(const std::vector<Site>& tokens, int64_t reach) {
+        ++generation_;
+        near_.clear();
+        auto add = [&](Site site) {
+            if (stamp()[site] != generation_) stamp()[site] = generation_, near_.push_back(site);
+        };
+        for (Site site : tokens) add(site);
+        size_t ring = 0;
+        for (int64_t hop = 1; hop < reach && ring < near_.size(); ++hop) {
+            const size_t last = near_.size();
+            for (; ring < last; ++ring) {
+                for (Site other : paths_around(near_[ring]))
+                    if (cost()[other] < kNoPath) add(other);
+            }
+        }
+        return ring == near_.size();
+    }
+
+    void solve_near() {
+        for (Site site : near_)
+            for (Site other : paths_around(site))
+                if (has(free(), other)) price(other);
+        for (bool changed = true; changed;) {
+            changed = false;
+            for (size_t i = near_.size(); i-- > 0;) {
+                const Site site = near_[i];
+                uint32_t best = kFar;
+                for (Site other : around(site)) best = std::min<uint32_t>(best, distance()[other]);
+                best += cost()[site];
+                if (best < distance()[site]) distance()[site] = static_cast<uint16_t>(best), changed = true;
+            }
+        }
+    }
+
+    uint32_t* stamp() { return stamp_.data() + kLanes; }
+
+    // ---------------------------------------------------------------- redistribution by level set
+
+    // Diffuse, then keep the new number of cells in each connected piece of the sites around the wound.
+    void level_set(const std::vector<Site>& parents) {
+        find_zone(std::max(rules_.layer_sites, rules_.substeps));
+        find_pieces();
+        for (Site site : parents) ++wounds_[run_at(site).wound].n_new;
+        const uint16_t* u = diffuse();
+        each_run([&](const Run& run) {
+            if (Wound& wound = wounds_[run.wound]; wound.n_new) tally(run, u, wound);
+        });
+        for (Wound& wound : wounds_) {
+            if (!wound.n_new) continue;
+            const int64_t wanted = std::min(wound.n_cells + wound.n_new, wound.n_sites);
+            const auto [level, above] = level_of(wound.histogram, wanted);
+            wound.level = level, wound.wanted = wanted - above;
+            if (level == 0 && wound.n_far > 0) {
+                too_flat_ = true;
+                throw TooNarrow();
+            }
+        }
+        each_run([&](const Run& run) {
+            if (Wound& wound = wounds_[run.wound]; wound.n_new) keep_above(run, u, wound);
+        });
+        for (Wound& wound : wounds_) {
+            words_.clear();
+            for (Site site : wound.ties) add_word(site);
+            for (Site site : first_of(kRedistributionTie, wound.wanted)) settle_at(site);
+        }
+    }
+
+    // Neighbouring sites of one row, lanes first .. last - 1, that belong to a piece.
+    struct Run {
+        int64_t row, first, last;
+        int32_t wound;
+    };
+
+    struct Wound {
+        int64_t n_new = 0, n_cells = 0, n_sites = 0, n_far = 0, wanted = 0;
+        uint16_t level = 0;
+        std::vector<uint32_t> histogram;
+        std::vector<Site> ties;
+    };
+
+    // Every row with a free site has active blocks: the ends of a free stretch are the front.
+    void find_pieces() {
+        runs_.clear(), first_run_.assign(rows_.count() + 1, 0);
+        size_t next = 0;
+        for (int64_t row = 0; row < rows_.count(); ++row) {
+            first_run_[row] = static_cast<int32_t>(runs_.size());
+            if (next < band_.active.size() && row_of(band_.active[next]) == row) add_runs(row, next);
+        }
+        first_run_[rows_.count()] = static_cast<int32_t>(runs_.size());
+        join_runs();
+    }
+
+    int64_t row_of(int32_t id) const { return band_.word[id] / rows_.blocks; }
+
+    // Blocks outside the band hold free sites only, or none.
+    void add_runs(int64_t row, size_t& next) {
+        for (int64_t block = 1; block < rows_.blocks - 1; ++block) {
+            const int64_t word = row * rows_.blocks + block;
+            uint32_t bits = free_word(word);
+            if (next < band_.active.size() && band_.word[band_.active[next]] == word) {
+                const int32_t id = band_.active[next++];
+                bits = zone_[0][id + 1] & fill()[id];
+            }
+            const int64_t lane0 = (block - 1) * kLanes;
+            for (int lane = 0; lane < kLanes; ++lane) {
+                if (!(bits >> lane & 1)) continue;
+                const bool goes_on = static_cast<int32_t>(runs_.size()) > first_run_[row] && runs_.back().last == lane0 + lane;
+                if (goes_on)
+                    ++runs_.back().last;
+                else
+                    runs_.push_back({row, lane0 + lane, lane0 + lane + 1, 0});
+            }
+        }
+    }
+
+    void join_runs() {
+        std::vector<int32_t> parent(runs_.size());
+        for (size_t i = 0; i < parent.size(); ++i) parent[i] = static_cast<int32_t>(i);
+        auto root = [&](int32_t i) {
+            while (parent[i] != i) i = parent[i] = parent[parent[i]];
+            return i;
+        };
+        for (size_t i = 0; i < runs_.size(); ++i)
+            for (const Direction& d : G::neighbour) {
+                const int64_t other = runs_[i].row + rows_.stride(d.row);
+                if (rows_.stride(d.row) >= 0) continue;
+                for (int32_t j = first_run_[other]; j < first_run_[other + 1]; ++j)
+                    if (runs_[j].first < runs_[i].last + d.lane && runs_[j].last > runs_[i].first + d.lane)
+                        parent[root(static_cast<int32_t>(i))] = root(j);
+            }
+        wounds_.clear();
+        std::vector<int32_t> name(runs_.size(), -1);
+        for (size_t i = 0; i < runs_.size(); ++i) {
+            int32_t& here = name[root(static_cast<int32_t>(i))];
+            if (here < 0) here = static_cast<int32_t>(wounds_.size()), wounds_.emplace_back();
+            runs_[i].wound = here;
+            wounds_[here].n_sites += runs_[i].last - runs_[i].first;
+        }
+    }
+
+    const Run& run_at(Site site) const {
+        const int64_t word = band_.word[site >> 5], row = word / rows_.blocks;
+        const int64_t lane = (word % rows_.blocks - 1) * kLanes + (site & 31);
+        const auto end = runs_.begin() + first_run_[row + 1];
+        return *std::find_if(runs_.begin() + first_run_[row], end, [lane](const Run& run) { return lane < run.last; });
+    }
+
+    // Call job(run) for every run, with the ids of the active blocks of its row in id_in_row_ (-1: not active).
+    template <class Job>
+    void each_run(Job&& job) {
+        size_t next = 0;
+        int64_t ready = -1;
+        for (const Run& run : runs_) {
+            if (run.row != ready) {
+                ready = run.row;
+                id_in_row_.assign(rows_.blocks, -1);
+                while (next < band_.active.size() && row_of(band_.active[next]) < ready) ++next;
+                for (; next < band_.active.size() && row_of(band_.active[next]) == ready; ++next)
+                    id_in_row_[band_.word[band_.active[next]] % rows_.blocks] = band_.active[next];
+            }
+            job(run);
+        }
+    }
+
+    void tally(const Run& run, const uint16_t* u, Wound& wound) {
+        wound.histogram.resize(size_t{G::bulk} + 1, 0);
+        for (int64_t lane = run.first; lane < run.last; ++lane) {
+            const int32_t id = id_in_row_[lane / kLanes + 1];
+            if (id < 0) {
+                ++wound.n_far, ++wound.histogram[0];
+                continue;
+            }
+            const Site site = static_cast<Site>(id * kLanes + lane % kLanes);
+            wound.n_cells += has(cells(), site);
+            ++wound.histogram[density(u, site)];
+        }
+    }
+
+    void keep_above(const Run& run, const uint16_t* u, Wound& wound) {
+        for (int64_t lane = run.first; lane < run.last; ++lane) {
+            const int32_t id = id_in_row_[lane / kLanes + 1];
+            if (id < 0) continue;
+            const Site site = static_cast<Site>(id * kLanes + lane % kLanes);
+            const uint16_t reached = density(u, site);
+            cells()[id] &= ~(1u << (site & 31)), free()[id] |= 1u << (site & 31);
+            if (reached > wound.level) settle_at(site);
+            if (reached == wound.level) wound.ties.push_back(site);
+        }
+    }
+
+    // Beyond the core of the band it is that of undisturbed sites.
+    uint16_t density(const uint16_t* u, Site site) {
+        if (band_.is_core_or_rim[site >> 5]) return u[site];
+        return has(cells(), site) ? G::bulk : 0;
+    }
+
+    // ---------------------------------------------------------------- the end of a step
+
+    void write_back(const Counts& counts) {
+        int64_t before = 0, misplaced = 0;
+        for (int32_t id : band_.active) {
+            const uint32_t old = occupied_[band_.word[id]];
+            before += popcount(old);
+            misplaced |= cells()[id] & ~fill()[id];
+        }
+        // blocks that are not active are not looked at again, so nothing may change right beside them
+        for (int32_t id : band_.outer) require_inside(id, cells()[id] ^ occupied_[band_.word[id]]);
+        const int64_t gained = n_occupied() - before;
+        if (gained != counts.edge + counts.layer || counts.dropped < 0 || misplaced)
+            throw InvariantFault("cells were lost or doubled: " + std::to_string(gained) + " more after " +
+                                 std::to_string(counts.edge + counts.layer) + " divisions");
+        pieces(band_.active, [&](int, Ids ids) { by_.border(ids, band_.beside(), free(), scratch()); });
+        front_.clear();
+        for (int32_t id : band_.active) {
+            occupied_[band_.word[id]] = cells()[id];
+            note_front(band_.word[id], scratch()[id], front_);
+        }
+        n_cells_ += gained;
+    }
+
+    Rows<D> rows_;
+    Rules rules_;
+    uint32_t key_[2];
+    const Kernels& kernels_;
+    const Kernels::ByDimension& by_;
+    Pool pool_;
+    std::vector<uint32_t> fillable_, occupied_;
+    Band<D> band_;
+    std::vector<Front> front_;
+    int64_t step_, n_cells_ = 0, n_fillable_ = 0;
+    Work work_;
+
+    // of one step; arrays by id have one more entry at either end, for lanes beyond the first and the last block
+    bool is_whole_ = false, too_flat_ = false;
+    const double* W_ = nullptr;
+    bool W_per_site_ = false;
+    double W_ref_ = 1.0;
+    std::vector<uint32_t> cells_, fill_, free_, zone_[2], layer_bits_, scratch_, above_, equal_;
+    std::vector<uint16_t> density_[2], own_, cost_, distance_;
+    std::vector<uint8_t> plain_, ready_, dirty_;
+    std::vector<uint32_t> stamp_;
+    uint32_t generation_ = 0;
+    std::vector<int32_t> layer_, shore_, mixed_;
+    std::vector<Site> near_;
+    Words words_;
+    std::vector<Run> runs_;
+    std::vector<Wound> wounds_;
+    std::vector<int32_t> first_run_, id_in_row_;
+};
+
+const Kernels& kernels_by_name(const char* name) {
+    const std::string wanted = *name ? name : instruction_sets().back();
+#ifdef CICATRIX_X86
+    if (wanted == "v4") return kernels_v4();
+    if (wanted == "v3") return kernels_v3();
+    if (wanted == "v2") return kernels_v2();
+#endif
+    if (wanted == "portable") return kernels_portable();
+    throw std::invalid_argument("no such instruction set: " + wanted);
+}
+
+}  // namespace
+
+std::vector<const char*> instruction_sets() {
+    std::vector<const char*> names = {"portable"};
+#ifdef CICATRIX_X86
+    __builtin_cpu_init();
+    const bool v2 = __builtin_cpu_supports("sse4.2") && __builtin_cpu_supports("popcnt");
+    const bool v3 = v2 && __builtin_cpu_supports("avx2") && __builtin_cpu_supports("bmi2") && __builtin_cpu_supports("fma");
+    const bool v4 = v3 && __builtin_cpu_supports("avx512bw") && __builtin_cpu_supports("avx512vl") &&
+                    __builtin_cpu_supports("avx512dq") && __builtin_cpu_supports("avx512cd");
+    if (v2) names.push_back("v2");
+    if (v3) names.push_back("v3");
+    if (v4) names.push_back("v4");
+#endif
+    return names;
+}
+
+std::unique_ptr<AutomatonCore> make_automaton(const std::vector<int64_t>& shape, const uint8_t* fillable,
+                                              const uint8_t* occupied, const Rules& rules, int64_t step, int threads,
+                                              const char* isa) {
+    const Kernels& kernels = kernels_by_name(isa);
+    if (shape.size() == 2) return std::make_unique<Core<2>>(shape, fillable, occupied, rules, step, threads, kernels);
+    if (shape.size() == 3) return std::make_unique<Core<3>>(shape, fillable, occupied, rules, step, threads, kernels);
+    throw std::invalid_argument("a lattice has two or three axes");
+}
+
+}  // namespace cicatrix

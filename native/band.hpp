@@ -1,0 +1,289 @@
+// The part of a lattice that a step works on: blocks of 32 sites along rows, within some hops of the front.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <cstdint>
+#include <vector>
+
+#include "kernels.hpp"
+
+namespace cicatrix {
+
+// Rows of a lattice with a frame of one row and one block on every side, so that every neighbour exists.
+template <int D>
+struct Rows {
+    std::array<int64_t, 3> shape{};  // sites along each axis; shape[2] unused in 2-D
+    int64_t outer = 0, inner = 1;    // rows along the first axis and, in 3-D, along the second, frame included
+    int64_t width = 0;               // sites along the last axis
+    int64_t blocks = 0;              // blocks of a row, frame included
+
+    explicit Rows(const std::vector<int64_t>& n) {
+        for (int axis = 0; axis < D; ++axis) shape[axis] = n[axis];
+        outer = n[0] + 2;
+        inner = D == 3 ? n[1] + 2 : 1;
+        width = n[D - 1];
+        blocks = (width + kLanes - 1) / kLanes + 2;
+    }
+
+    int64_t count() const { return outer * inner; }
+    int64_t n_inner_rows() const { return shape[0] * (D == 3 ? shape[1] : 1); }
+    // The row of the frame that the n-th row of the lattice is.
+    int64_t framed(int64_t n) const {
+        return D == 3 ? (n / shape[1] + 1) * inner + n % shape[1] + 1 : n + 1;
+    }
+    // Number of the first site of a framed row in the C order of the lattice; nonsense on the frame.
+    int64_t first_site(int64_t row) const {
+        return D == 3 ? ((row / inner - 1) * shape[1] + row % inner - 1) * width : (row - 1) * width;
+    }
+    bool on_frame(int64_t row) const {
+        const int64_t i = row / inner, j = row % inner;
+        return i == 0 || i == outer - 1 || (D == 3 && (j == 0 || j == inner - 1));
+    }
+    // How far in rows the row offset k leads.
+    int64_t stride(int k) const { return Geometry<D>::row[k][0] * inner + Geometry<D>::row[k][1]; }
+};
+
+// Free sites of a block that have a neighbour which is not free: from lane low to lane high.
+struct Front {
+    int64_t word;
+    int32_t low, high;
+};
+
+// One bit per block of a lattice.
+template <int D>
+class BlockSet {
+   public:
+    explicit BlockSet(const Rows<D>& rows)
+        : rows_(rows), words_((rows.blocks + 63) / 64), bits_(rows.count() * words_), inner_(words_) {
+        for (int64_t b = 1; b < rows.blocks - 1; ++b) inner_[b >> 6] |= uint64_t{1} << (b & 63);
+    }
+
+    void clear(int64_t first, int64_t last) { std::fill(at(first * rows_.inner), at(last * rows_.inner), 0); }
+
+    const uint64_t* row(int64_t r) const { return bits_.data() + r * words_; }
+    int64_t words() const { return words_; }
+    bool has(int64_t r, int64_t b) const { return row(r)[b >> 6] >> (b & 63) & 1; }
+
+    void add(int64_t r, int64_t first, int64_t last) {
+        uint64_t* here = bits_.data() + r * words_;
+        for (int64_t b = first; b <= last; ++b) here[b >> 6] |= uint64_t{1} << (b & 63);
+    }
+
+    // Everything within `reach` rows along each axis but the last, in the range first .. last - 1 of the first axis.
+    void widen(int64_t reach, int64_t first, int64_t last) {
+        for (int64_t i = first; i < last && D == 3; ++i) spread(at(i * rows_.inner), rows_.inner, words_, reach);
+        spread(at(first * rows_.inner), last - first, rows_.inner * words_, reach);
+    }
+
+    void drop_frame(int64_t first, int64_t last) {
+        for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
+            uint64_t* here = bits_.data() + r * words_;
+            if (rows_.on_frame(r)) std::fill(here, here + words_, 0);
+        }
+    }
+
+    // What is not in the other set, the frame apart.
+    void complement(const BlockSet& other, int64_t first, int64_t last) {
+        for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
+            uint64_t* to = bits_.data() + r * words_;
+            for (int64_t w = 0; w < words_; ++w) to[w] = rows_.on_frame(r) ? 0 : ~other.row(r)[w] & inner_[w];
+        }
+    }
+
+    // The other set and one block and row more on every side.
+    void surround(const BlockSet& other, int64_t first, int64_t last) {
+        for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
+            const uint64_t* from = other.row(r);
+            uint64_t* to = bits_.data() + r * words_;
+            for (int64_t w = 0; w < words_; ++w) {
+                to[w] = from[w] | from[w] << 1 | from[w] >> 1;
+                if (w > 0) to[w] |= from[w - 1] >> 63;
+                if (w + 1 < words_) to[w] |= from[w + 1] << 63;
+            }
+        }
+        widen(1, first, last);
+    }
+
+   private:
+    uint64_t* at(int64_t r) { return bits_.data() + r * words_; }
+
+    // out[i] = or of in[i - reach .. i + reach], n rows of `size` words, by doubling.
+    static void spread(uint64_t* bits, int64_t n, int64_t size, int64_t reach) {
+        for (int64_t done = 0; done < reach;) {
+            const int64_t shift = std::min(done + 1, reach - done);
+            if (shift < n)
+                for (int64_t i = (n - shift) * size - 1; i >= 0; --i) bits[i + shift * size] |= bits[i];
+            done += shift;
+        }
+        for (int64_t done = 0; done < reach;) {
+            const int64_t shift = std::min(done + 1, reach - done);
+            if (shift < n)
+                for (int64_t i = 0; i < (n - shift) * size; ++i) bits[i] |= bits[i + shift * size];
+            done += shift;
+        }
+    }
+
+    Rows<D> rows_;
+    int64_t words_;
+    std::vector<uint64_t> bits_, inner_;
+};
+
+// Stored blocks, numbered along the rows. Active ones have all their neighbours stored.
+template <int D>
+class Band {
+   public:
+    explicit Band(const Rows<D>& rows)
+        : rows_(rows), near_(rows), core_(rows), stored_(rows), rim_(rows), outside_(rows), beyond_(rows), first_run_(rows.count() + 1) {}
+
+    // Blocks within `reach` hops of the front become active, those within `inner` make the core; all blocks if `whole`.
+    void build(const std::vector<Front>& front, int64_t reach, int64_t inner, bool whole) {
+        int64_t low = 1, high = rows_.outer - 1;  // range of the first axis
+        if (!whole) {
+            low = rows_.outer, high = 0;
+            for (const Front& f : front) {
+                const int64_t i = f.word / rows_.blocks / rows_.inner;
+                low = std::min(low, i), high = std::max(high, i + 1);
+            }
+            low = std::max<int64_t>(1, low - reach), high = std::min(rows_.outer - 1, high + reach);
+        }
+        const int64_t from = low - 1, to = high + 1;
+        near_.clear(from, to), core_.clear(from, to);
+        if (whole) {
+            for (int64_t n = 0; n < rows_.n_inner_rows(); ++n)
+                for (auto* set : {&near_, &core_}) set->add(rows_.framed(n), 1, rows_.blocks - 2);
+        } else {
+            mark(near_, front, reach, from, to);
+            mark(core_, front, inner, from, to);
+        }
+        stored_.surround(near_, from, to);
+        rim_.surround(core_, from, to);
+        outside_.complement(near_, from, to);
+        beyond_.surround(outside_, from, to);
+        enumerate(from * rows_.inner, to * rows_.inner);
+    }
+
+    int32_t size() const { return static_cast<int32_t>(word.size()); }
+    int64_t bytes() const {
+        int64_t n = static_cast<int64_t>(8 * (word.capacity() + first_site.capacity()) + is_active.capacity() +
+                                         is_frame.capacity() + is_core_or_rim.capacity());
+        for (const auto* v : {&active, &core, &rim, &outer, &first_run_}) n += static_cast<int64_t>(4 * v->capacity());
+        for (const auto& v : rows_beside_) n += static_cast<int64_t>(4 * v.capacity());
+        return n;
+    }
+    Beside beside() const { return beside_; }
+    int32_t beside(int row, int32_t id) const { return row ? rows_beside_[row][id] : id; }
+
+    std::vector<int64_t> word;        // where the block is in the framed lattice
+    std::vector<uint8_t> is_active;
+    std::vector<uint8_t> is_frame;
+    std::vector<int32_t> active, core;
+    std::vector<uint8_t> is_core_or_rim;
+    std::vector<int32_t> rim;    // not of the core, but beside it
+    std::vector<int32_t> outer;  // active, with a block beside it that is not, the frame apart
+    std::vector<int64_t> first_site;  // number of lane 0
+
+   private:
+    struct Run {
+        int64_t first, last;  // blocks
+        int32_t id;           // of the first
+    };
+
+    void mark(BlockSet<D>& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
+        for (const Front& f : front) {
+            const int64_t row = f.word / rows_.blocks, block = f.word % rows_.blocks;
+            const int64_t left = (f.low - reach - (kLanes - 1)) / kLanes, right = (f.high + reach) / kLanes;
+            set.add(row, std::max<int64_t>(1, block + left),
+                    std::min(rows_.blocks - 2, block + right));
+        }
+        set.widen(reach, from, to);
+        set.drop_frame(from, to);
+    }
+
+    void enumerate(int64_t first, int64_t last) {
+        runs_.clear();
+        int32_t n = 0;
+        for (int64_t r = first; r < last; ++r) {
+            first_run_[r] = static_cast<int32_t>(runs_.size());
+            n = find_runs(r, n);
+        }
+        first_run_[last] = static_cast<int32_t>(runs_.size());
+        word.resize(n), first_site.resize(n), is_active.resize(n), is_frame.resize(n), is_core_or_rim.resize(n);
+        active.clear(), core.clear(), rim.clear(), outer.clear();
+        for (int k = 1; k < Geometry<D>::rows; ++k) {
+            rows_beside_[k].resize(n);
+            beside_[k] = rows_beside_[k].data();
+        }
+        for (int64_t r = first; r < last; ++r) {
+            for (int32_t i = first_run_[r]; i < first_run_[r + 1]; ++i) describe(r, runs_[i]);
+            for (int k = 1; k < Geometry<D>::rows; ++k) {
+                const int64_t other = r + rows_.stride(k);
+                if (other >= first && other < last) join(r, other, rows_beside_[k]);
+            }
+        }
+    }
+
+    // Blocks of a row that follow each other, numbered from n; returns the next number.
+    int32_t find_runs(int64_t r, int32_t n) {
+        const uint64_t* bits = stored_.row(r);
+        for (int64_t w = 0; w < stored_.words(); ++w) {
+            uint64_t left = bits[w];
+            while (left) {
+                const int first = __builtin_ctzll(left);
+                const uint64_t gone = ~(left >> first);
+                const int count = gone ? __builtin_ctzll(gone) : 64 - first;
+                const int64_t block = 64 * w + first;
+                const bool goes_on = first == 0 && static_cast<int32_t>(runs_.size()) > first_run_[r] &&
+                                     runs_.back().last == block - 1;
+                if (goes_on)
+                    runs_.back().last += count;
+                else
+                    runs_.push_back({block, block + count - 1, n});
+                n += count;
+                left = first + count >= 64 ? 0 : left & ~uint64_t{0} << (first + count);
+            }
+        }
+        return n;
+    }
+
+    void describe(int64_t r, const Run& run) {
+        const bool row_on_frame = rows_.on_frame(r);
+        const int64_t row_word = r * rows_.blocks, row_site = rows_.first_site(r) - kLanes;
+        int32_t id = run.id;
+        for (int64_t b = run.first; b <= run.last; ++b, ++id) {
+            word[id] = row_word + b;
+            first_site[id] = row_site + b * kLanes;
+            is_frame[id] = row_on_frame || b == 0 || b == rows_.blocks - 1;
+            is_active[id] = near_.has(r, b);
+            const bool is_core = core_.has(r, b);
+            is_core_or_rim[id] = rim_.has(r, b);
+            if (is_core_or_rim[id] && !is_core) rim.push_back(id);
+            if (!is_active[id]) continue;
+            active.push_back(id);
+            if (is_core) core.push_back(id);
+            if (beyond_.has(r, b)) outer.push_back(id);
+        }
+    }
+
+    // Write down the ids of row `other` beside those of row r.
+    void join(int64_t r, int64_t other, std::vector<int32_t>& out) {
+        int32_t b = first_run_[other];
+        for (int32_t a = first_run_[r]; a < first_run_[r + 1]; ++a) {
+            while (b < first_run_[other + 1] && runs_[b].last < runs_[a].first) ++b;
+            for (int32_t c = b; c < first_run_[other + 1] && runs_[c].first <= runs_[a].last; ++c) {
+                const int64_t low = std::max(runs_[a].first, runs_[c].first), high = std::min(runs_[a].last, runs_[c].last);
+                for (int64_t block = low; block <= high; ++block)
+                    out[runs_[a].id + (block - runs_[a].first)] = runs_[c].id + static_cast<int32_t>(block - runs_[c].first);
+            }
+        }
+    }
+
+    Rows<D> rows_;
+    BlockSet<D> near_, core_, stored_, rim_, outside_, beyond_;
+    std::vector<int32_t> first_run_;
+    std::vector<Run> runs_;
+    std::array<std::vector<int32_t>, kMaxRows> rows_beside_;
+    const int32_t* beside_[kMaxRows] = {};
+};
+
+}  // namespace cicatrix

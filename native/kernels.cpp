@@ -1,0 +1,574 @@
+// Compiled several times: CICATRIX_ISA names the instruction set. Plain loops only: nothing here may be shared by the linker
+// with code for another machine, so no standard containers.
+#include "kernels.hpp"
+
+#include <cstring>
+#if defined(__AVX2__) || defined(__SSE2__)
+#include <immintrin.h>
+#endif
+
+#include "philox.hpp"
+
+namespace cicatrix {
+namespace {
+
+// 32 lanes, in as many vectors as the machine's width asks for: the compiler takes wider ones apart lane by lane.
+#if defined(__AVX512BW__)
+constexpr int kWidth = 64;
+#elif defined(__AVX2__)
+constexpr int kWidth = 32;
+#else
+constexpr int kWidth = 16;
+#endif
+constexpr int kParts = 2 * kLanes / kWidth;
+typedef uint16_t Part __attribute__((vector_size(kWidth)));
+
+struct U16 {
+    Part part[kParts];
+};
+
+template <class Op>
+inline U16 each(U16 a, U16 b, Op op) {
+    U16 out;
+    for (int i = 0; i < kParts; ++i) out.part[i] = op(a.part[i], b.part[i]);
+    return out;
+}
+
+inline U16 operator+(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x + y; }); }
+inline U16 operator-(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x - y; }); }
+inline U16 operator*(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x * y; }); }
+inline U16 operator&(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x & y; }); }
+inline U16 operator|(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x | y; }); }
+inline U16 operator^(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x ^ y; }); }
+// all ones in the lanes where it is so
+inline U16 operator>(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return reinterpret_cast<Part>(x > y); }); }
+inline U16 operator==(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return reinterpret_cast<Part>(x == y); }); }
+inline U16 least(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x < y ? x : y; }); }
+
+inline U16 fill(uint16_t x) {
+    U16 out;
+    for (Part& part : out.part) part = Part{} + x;
+    return out;
+}
+
+inline U16 operator~(U16 a) { return a ^ fill(0xFFFF); }
+
+template <int n>
+inline U16 shifted_right(U16 a) {
+    for (Part& part : a.part) part >>= n;
+    return a;
+}
+
+inline U16 load(const uint16_t* p) {
+    U16 v;  // part by part: a copy of the whole would go through memory
+    for (int i = 0; i < kParts; ++i) std::memcpy(&v.part[i], p + i * (kWidth / 2), sizeof(Part));
+    return v;
+}
+
+inline void store(uint16_t* p, U16 v) {
+    for (int i = 0; i < kParts; ++i) std::memcpy(p + i * (kWidth / 2), &v.part[i], sizeof(Part));
+}
+
+inline bool any(U16 v) {
+#if defined(__AVX512BW__)
+    const __m512i x = reinterpret_cast<__m512i>(v.part[0]);
+    return _mm512_test_epi64_mask(x, x) != 0;
+#else
+    Part all = v.part[0];
+    for (int i = 1; i < kParts; ++i) all |= v.part[i];
+    uint64_t words[kWidth / 8], sum = 0;
+    std::memcpy(words, &all, sizeof words);
+    for (uint64_t word : words) sum |= word;
+    return sum != 0;
+#endif
+}
+
+// One 32-bit mask from a comparison of 32 lanes.
+inline uint32_t bits_of(U16 mask) {
+#if defined(__AVX512BW__)
+    return _mm512_movepi16_mask(reinterpret_cast<__m512i>(mask.part[0]));
+#elif defined(__AVX2__)
+    const __m256i packed = _mm256_packs_epi16(reinterpret_cast<__m256i>(mask.part[0]), reinterpret_cast<__m256i>(mask.part[1]));
+    return static_cast<uint32_t>(_mm256_movemask_epi8(_mm256_permute4x64_epi64(packed, 0xD8)));
+#elif defined(__SSE2__)
+    auto half = [&](int i) {
+        const __m128i low = reinterpret_cast<__m128i>(mask.part[i]), high = reinterpret_cast<__m128i>(mask.part[i + 1]);
+        return static_cast<uint32_t>(_mm_movemask_epi8(_mm_packs_epi16(low, high)));
+    };
+    return half(0) | half(2) << 16;
+#else
+    uint32_t out = 0;
+    for (int j = 0; j < kLanes; ++j) out |= static_cast<uint32_t>(mask.part[j / (kWidth / 2)][j % (kWidth / 2)] & 1) << j;
+    return out;
+#endif
+}
+
+// All ones in the lanes whose bit is set.
+inline U16 lanes_of(uint32_t bits) {
+#if defined(__AVX512BW__)
+    return {{reinterpret_cast<Part>(_mm512_movm_epi16(bits))}};
+#else
+    const uint16_t bit[16] = {1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384, 32768};
+    U16 which;
+    for (int i = 0; i < kParts; ++i) std::memcpy(&which.part[i], bit + i * (kWidth / 2) % 16, sizeof(Part));
+    U16 both = fill(static_cast<uint16_t>(bits));
+    const U16 high = fill(static_cast<uint16_t>(bits >> 16));
+    for (int i = kParts / 2; i < kParts; ++i) both.part[i] = high.part[i];
+    return (both & which) == which;
+#endif
+}
+
+// Some calls of the generator at once, one per 64-bit lane. Only the low half of a lane counts: what lies above it is never
+// cleared. Lanes are loaded in such an order that unpacking the words leaves the calls one after the other.
+#if defined(__AVX512F__)
+using Lanes = __m512i;
+constexpr int kCalls = 8;
+inline Lanes load_calls(const uint64_t* p) {
+    return _mm512_permutexvar_epi64(_mm512_setr_epi64(0, 4, 1, 5, 2, 6, 3, 7), _mm512_loadu_si512(p));
+}
+inline Lanes calls_from(uint64_t first) {
+    return _mm512_add_epi64(_mm512_set1_epi64(static_cast<long long>(first)), _mm512_setr_epi64(0, 4, 1, 5, 2, 6, 3, 7));
+}
+inline Lanes all(uint32_t x) { return _mm512_set1_epi64(x); }
+inline Lanes times(Lanes a, Lanes b) { return _mm512_mul_epu32(a, b); }
+inline Lanes high(Lanes a) { return _mm512_srli_epi64(a, 32); }
+inline Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm512_ternarylogic_epi64(a, b, c, 0x96); }
+inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
+    const Lanes ab = _mm512_mask_blend_epi32(0xAAAA, a, _mm512_slli_epi64(b, 32));
+    const Lanes cd = _mm512_mask_blend_epi32(0xAAAA, c, _mm512_slli_epi64(d, 32));
+    _mm512_storeu_si512(out, _mm512_unpacklo_epi64(ab, cd));
+    _mm512_storeu_si512(out + 16, _mm512_unpackhi_epi64(ab, cd));
+}
+#elif defined(__AVX2__)
+using Lanes = __m256i;
+constexpr int kCalls = 4;
+inline Lanes load_calls(const uint64_t* p) {
+    return _mm256_permute4x64_epi64(_mm256_loadu_si256(reinterpret_cast<const Lanes*>(p)), 0xD8);
+}
+inline Lanes calls_from(uint64_t first) {
+    return _mm256_add_epi64(_mm256_set1_epi64x(static_cast<long long>(first)), _mm256_setr_epi64x(0, 2, 1, 3));
+}
+inline Lanes all(uint32_t x) { return _mm256_set1_epi64x(x); }
+inline Lanes times(Lanes a, Lanes b) { return _mm256_mul_epu32(a, b); }
+inline Lanes high(Lanes a) { return _mm256_srli_epi64(a, 32); }
+inline Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm256_xor_si256(_mm256_xor_si256(a, b), c); }
+inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
+    const Lanes ab = _mm256_blend_epi32(a, _mm256_slli_epi64(b, 32), 0xAA);
+    const Lanes cd = _mm256_blend_epi32(c, _mm256_slli_epi64(d, 32), 0xAA);
+    _mm256_storeu_si256(reinterpret_cast<Lanes*>(out), _mm256_unpacklo_epi64(ab, cd));
+    _mm256_storeu_si256(reinterpret_cast<Lanes*>(out + 8), _mm256_unpackhi_epi64(ab, cd));
+}
+#elif defined(__SSE2__)
+using Lanes = __m128i;
+constexpr int kCalls = 2;
+inline Lanes load_calls(const uint64_t* p) { return _mm_loadu_si128(reinterpret_cast<const Lanes*>(p)); }
+inline Lanes calls_from(uint64_t first) {
+    return _mm_add_epi64(_mm_set1_epi64x(static_cast<long long>(first)), _mm_set_epi64x(1, 0));
+}
+inline Lanes all(uint32_t x) { return _mm_set1_epi64x(x); }
+inline Lanes times(Lanes a, Lanes b) { return _mm_mul_epu32(a, b); }
+inline Lanes high(Lanes a) { return _mm_srli_epi64(a, 32); }
+inline Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm_xor_si128(_mm_xor_si128(a, b), c); }
+inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
+    const Lanes low = _mm_set1_epi64x(0xFFFFFFFF);
+    const Lanes ab = _mm_or_si128(_mm_and_si128(a, low), _mm_slli_epi64(b, 32));
+    const Lanes cd = _mm_or_si128(_mm_and_si128(c, low), _mm_slli_epi64(d, 32));
+    _mm_storeu_si128(reinterpret_cast<Lanes*>(out), _mm_unpacklo_epi64(ab, cd));
+    _mm_storeu_si128(reinterpret_cast<Lanes*>(out + 4), _mm_unpackhi_epi64(ab, cd));
+}
+#else
+using Lanes = uint64_t;
+constexpr int kCalls = 1;
+inline Lanes load_calls(const uint64_t* p) { return *p; }
+inline Lanes calls_from(uint64_t first) { return first; }
+#endif
+
+inline void calls(Lanes c0, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
+#if defined(__SSE2__)
+    Lanes c1 = high(c0), c2 = all(step), c3 = all(phase);
+    const Lanes m0 = all(kPhiloxM0), m1 = all(kPhiloxM1);
+    uint32_t k0 = key[0], k1 = key[1];
+    for (int round = 0; round < 10; ++round, k0 += kPhiloxW0, k1 += kPhiloxW1) {
+        const Lanes p0 = times(c0, m0), p1 = times(c2, m1);
+        c0 = mix(high(p1), c1, all(k0));
+        c1 = p1;
+        c2 = mix(high(p0), c3, all(k1));
+        c3 = p0;
+    }
+    store_calls(c0, c1, c2, c3, out);
+#else
+    philox_block(static_cast<uint32_t>(c0), static_cast<uint32_t>(c0 >> 32), step, phase, key[0], key[1], out);
+#endif
+}
+
+void philox(const uint64_t* group, size_t n, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
+    size_t i = 0;
+    for (; i + kCalls <= n; i += kCalls) calls(load_calls(group + i), step, phase, key, out + 4 * i);
+    for (; i < n; ++i)
+        philox_block(static_cast<uint32_t>(group[i]), static_cast<uint32_t>(group[i] >> 32), step, phase, key[0], key[1],
+                     out + 4 * i);
+}
+
+// The words of 32 sites that follow each other: returns where they begin in the buffer.
+constexpr int kBuffer = 4 * (kLanes / 4 + 8);
+inline const uint32_t* words_of(uint64_t first, const Draw& draw, uint32_t* buffer) {
+    const int n = kLanes / 4 + ((first & 3) ? kCalls : 0);
+    for (int i = 0; i < n; i += kCalls)
+        calls(calls_from((first >> 2) + i), draw.step, draw.phase, draw.key, buffer + 4 * i);
+    return buffer + (first & 3);
+}
+
+// Bit j: word j is below the bound.
+inline uint32_t bits_below(const uint32_t* word, uint32_t bound) {
+#if defined(__AVX512BW__)
+    const __m512i limit = _mm512_set1_epi32(static_cast<int>(bound));
+    const uint32_t low = _mm512_cmplt_epu32_mask(_mm512_loadu_si512(word), limit);
+    return low | uint32_t{_mm512_cmplt_epu32_mask(_mm512_loadu_si512(word + 16), limit)} << 16;
+#else
+    uint16_t is_below[kLanes];
+    for (int j = 0; j < kLanes; ++j) is_below[j] = word[j] < bound ? 0xFFFF : 0;
+    return bits_of(load(is_below));
+#endif
+}
+
+// floor(word n / 2^32) for 32 words, in two halves of a word, each of which fits into 32 bits with n.
+inline U16 scaled(const uint32_t* word, uint32_t n) {
+#if defined(__AVX512BW__)
+    const __m512i factor = _mm512_set1_epi32(static_cast<int>(n));
+    __m256i half[2];
+    for (int i = 0; i < 2; ++i) {
+        const __m512i w = _mm512_loadu_si512(word + 16 * i);
+        const __m512i low = _mm512_mullo_epi32(_mm512_and_si512(w, _mm512_set1_epi32(0xFFFF)), factor);
+        const __m512i high = _mm512_mullo_epi32(_mm512_srli_epi32(w, 16), factor);
+        half[i] = _mm512_cvtepi32_epi16(_mm512_srli_epi32(_mm512_add_epi32(high, _mm512_srli_epi32(low, 16)), 16));
+    }
+    return {{reinterpret_cast<Part>(_mm512_inserti64x4(_mm512_castsi256_si512(half[0]), half[1], 1))}};
+#else
+    uint16_t value[kLanes];
+    for (int j = 0; j < kLanes; ++j)
+        value[j] = static_cast<uint16_t>(((word[j] >> 16) * n + ((word[j] & 0xFFFF) * n >> 16)) >> 16);
+    return load(value);
+#endif
+}
+
+void draw(Ids ids, Draw draw, const uint32_t* mask, uint64_t limit, uint32_t* hit) {
+    const bool always = limit > 0xFFFFFFFFu;
+    const uint32_t bound = static_cast<uint32_t>(limit);
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        uint32_t buffer[kBuffer];
+        const uint32_t* word = words_of(draw.first_site[id], draw, buffer);
+        hit[id] = (always ? ~0u : bits_below(word, bound)) & mask[id];
+    }
+}
+
+void random_values(Ids ids, Draw draw, const uint32_t* mask, uint16_t base, uint32_t n, uint16_t* out) {
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        uint32_t buffer[kBuffer];
+        const uint32_t* word = words_of(draw.first_site[id], draw, buffer);
+        const U16 meant = lanes_of(mask[id]), value = scaled(word, n) + fill(base);
+        uint16_t* here = out + kLanes * size_t(id);
+        store(here, (meant & value) | (~meant & load(here)));
+    }
+}
+
+void expand(Ids ids, const uint32_t* bits, uint16_t bulk, uint16_t* u) {
+    const U16 value = fill(bulk);
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        store(u + kLanes * size_t(id), lanes_of(bits[id]) & value);
+    }
+}
+
+void compare(Ids ids, const uint16_t* u, uint16_t level, uint32_t* above, uint32_t* equal) {
+    const U16 limit = fill(level);
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        const U16 v = load(u + kLanes * size_t(id));
+        above[id] = bits_of(v > limit);
+        equal[id] = bits_of(v == limit);
+    }
+}
+
+inline uint32_t popcount(uint32_t x) {
+#if defined(__POPCNT__)
+    return static_cast<uint32_t>(__builtin_popcount(x));
+#else
+    x -= x >> 1 & 0x55555555u;
+    x = (x & 0x33333333u) + (x >> 2 & 0x33333333u);
+    return ((x + (x >> 4)) & 0x0F0F0F0Fu) * 0x01010101u >> 24;
+#endif
+}
+
+int64_t count_from(Ids ids, const uint16_t* u, uint16_t level) {
+    const U16 limit = fill(static_cast<uint16_t>(level - 1));  // level >= 1
+    int64_t sum = 0;
+    for (size_t i = 0; i < ids.count; ++i) sum += popcount(bits_of(load(u + kLanes * size_t(ids.first[i])) > limit));
+    return sum;
+}
+
+size_t mixed(Ids ids, const uint16_t* u, uint16_t bulk, int32_t* out, int64_t* n_bulk) {
+    size_t n = 0;
+    for (size_t i = 0; i < ids.count; ++i) {
+        const uint16_t* p = u + kLanes * size_t(ids.first[i]);
+        const bool is_mixed = (p[0] != 0 && p[0] != bulk) || any(load(p) ^ fill(p[0]));
+        out[n] = ids.first[i];
+        n += is_mixed;
+        *n_bulk += !is_mixed && p[0] == bulk;
+    }
+    return n;
+}
+
+int64_t count_bits(Ids ids, const uint32_t* bits) {
+    int64_t sum = 0;
+    for (size_t i = 0; i < ids.count; ++i) sum += popcount(bits[ids.first[i]]);
+    return sum;
+}
+
+template <int D>
+inline U16 sum_of_neighbours(const uint16_t* const* at) {
+    U16 total = fill(0);
+    for (const Direction& n : Geometry<D>::neighbour) total = total + load(at[n.row] + n.lane);
+    return total;
+}
+
+// Where the block itself and the rows beside it begin.
+template <int D, class T>
+inline void rows_of(int32_t id, Beside beside, T* values, size_t lanes, T** at) {
+    at[0] = values + lanes * size_t(id);
+    for (int k = 1; k < Geometry<D>::rows; ++k) at[k] = values + lanes * size_t(beside[k][id]);
+}
+
+template <int D>
+void diffuse(Ids ids, Beside beside, const uint8_t* plain, const uint16_t* own, const uint32_t* fillable, const uint16_t* u,
+             uint16_t* out) {
+    using G = Geometry<D>;
+    const U16 half = fill(1 << (G::shift - 1));
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        const uint16_t* at[kMaxRows];
+        rows_of<D>(id, beside, u, kLanes, at);
+        const U16 here = load(at[0]), total = sum_of_neighbours<D>(at);
+        U16 next;
+        if (plain[id])
+            next = shifted_right<G::shift>(total + here * fill(G::own) + half);
+        else
+            next = shifted_right<G::shift>(total + here * load(own + kLanes * size_t(id)) + half) & lanes_of(fillable[id]);
+        store(out + kLanes * size_t(id), next);
+    }
+}
+
+// The word as each direction sees it: bit j is the neighbour of lane j.
+inline uint32_t shifted(const uint32_t* word, int lane) {
+    if (lane == 0) return word[0];
+    return lane > 0 ? (word[0] >> 1) | (word[1] << 31) : (word[0] << 1) | (word[-1] >> 31);
+}
+
+template <int D>
+void start(Ids ids, Beside beside, const uint8_t* plain, const uint16_t* own, const uint32_t* fillable, const uint32_t* bits,
+           uint16_t* out) {
+    using G = Geometry<D>;
+    const U16 half = fill(1 << (G::shift - 1));
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        const uint32_t* at[kMaxRows];
+        rows_of<D>(id, beside, bits, 1, at);
+        U16 n = fill(0);
+        for (const Direction& d : G::neighbour) n = n - lanes_of(shifted(at[d.row], d.lane));
+        const U16 weight = plain[id] ? fill(G::own) : load(own + kLanes * size_t(id));
+        n = n + (lanes_of(bits[id]) & weight);
+        const U16 next = shifted_right<G::shift>(n * fill(G::bulk) + half);
+        store(out + kLanes * size_t(id), plain[id] ? next : next & lanes_of(fillable[id]));
+    }
+}
+
+template <int D>
+void weigh(Ids ids, Beside beside, const uint8_t* plain, const uint32_t* fillable, uint16_t* own) {
+    using G = Geometry<D>;
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        if (plain[id]) continue;
+        const uint32_t* at[kMaxRows];
+        rows_of<D>(id, beside, fillable, 1, at);
+        U16 weight = fill(G::own);
+        for (const Direction& n : G::neighbour) weight = weight - lanes_of(~shifted(at[n.row], n.lane));
+        store(own + kLanes * size_t(id), weight);
+    }
+}
+
+template <int D>
+void touching(Ids ids, Beside beside, const uint32_t* mask, const uint32_t* bits, uint32_t* out) {
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        uint32_t near = 0;
+        if (mask[id]) {
+            const uint32_t* at[kMaxRows];
+            rows_of<D>(id, beside, bits, 1, at);
+            for (const Direction& n : Geometry<D>::neighbour) near |= shifted(at[n.row], n.lane);
+        }
+        out[id] = near & mask[id];
+    }
+}
+
+template <int D>
+void border(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        uint32_t inner = bits[id];
+        if (inner) {
+            const uint32_t* at[kMaxRows];
+            rows_of<D>(id, beside, bits, 1, at);
+            for (const Direction& n : Geometry<D>::neighbour) inner &= shifted(at[n.row], n.lane);
+        }
+        out[id] = bits[id] & ~inner;
+    }
+}
+
+template <int D>
+void price(Ids ids, Beside beside, const uint32_t* bits, const uint32_t* mask, uint16_t unit, const uint16_t* extra,
+           uint16_t* d) {
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        const uint32_t* at[kMaxRows];
+        rows_of<D>(id, beside, bits, 1, at);
+        U16 n_near = fill(0);
+        for (const Direction& n : Geometry<D>::neighbour) n_near = n_near - lanes_of(shifted(at[n.row], n.lane));
+        const U16 is_meant = lanes_of(mask[id]);
+        uint16_t* here = d + kLanes * size_t(id);
+        const U16 value = n_near * fill(unit) + load(extra + kLanes * size_t(id)) - fill(kNoPath);
+        store(here, (is_meant & value) | (~is_meant & load(here)));
+    }
+}
+
+template <int D>
+void dilate(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
+    for (size_t i = 0; i < ids.count; ++i) {
+        const int32_t id = ids.first[i];
+        uint32_t wide = bits[id];
+        if (wide != ~0u) {
+            const uint32_t* at[kMaxRows];
+            rows_of<D>(id, beside, bits, 1, at);
+            for (const Direction& n : Geometry<D>::neighbour) wide |= shifted(at[n.row], n.lane);
+        }
+        out[id] = wide;
+    }
+}
+
+#if !defined(__AVX512BW__)
+// The last n numbers of one vector and the first ones of the next.
+template <int n>
+inline Part joined(Part one, Part next) {
+#if defined(__AVX2__)
+    const __m256i a = reinterpret_cast<__m256i>(one), b = reinterpret_cast<__m256i>(next);
+    const __m256i middle = _mm256_permute2x128_si256(a, b, 0x21);
+    if (n < 8) return reinterpret_cast<Part>(_mm256_alignr_epi8(b, middle, (16 - 2 * n) & 15));
+    return reinterpret_cast<Part>(_mm256_alignr_epi8(middle, a, (32 - 2 * n) & 15));
+#elif defined(__SSE2__)
+    const __m128i a = reinterpret_cast<__m128i>(one), b = reinterpret_cast<__m128i>(next);
+    return reinterpret_cast<Part>(_mm_or_si128(_mm_srli_si128(a, 16 - 2 * n), _mm_slli_si128(b, 2 * n)));
+#else
+    Part out;
+    for (int i = 0; i < kWidth / 2; ++i) out[i] = i < n ? one[kWidth / 2 - n + i] : next[i - n];
+    return out;
+#endif
+}
+#endif
+
+// Every lane takes what its left neighbour holds, the first one the number given.
+inline U16 from_left(U16 v, uint16_t first) {
+#if defined(__AVX512BW__)
+    const Part order = {0,  0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14,
+                        15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30};
+    const __m512i moved = _mm512_permutexvar_epi16(reinterpret_cast<__m512i>(order), reinterpret_cast<__m512i>(v.part[0]));
+    return {{reinterpret_cast<Part>(_mm512_mask_set1_epi16(moved, 1u, static_cast<short>(first)))}};
+#else
+    U16 out;
+    Part before = Part{} + first;
+    for (int i = 0; i < kParts; ++i) {
+        out.part[i] = joined<1>(before, v.part[i]);
+        before = v.part[i];
+    }
+    return out;
+#endif
+}
+
+// The same from the right: the last lane takes the number given.
+inline U16 from_right(U16 v, uint16_t last) {
+#if defined(__AVX512BW__)
+    const Part order = {1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14, 15, 16,
+                        17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 31};
+    const __m512i moved = _mm512_permutexvar_epi16(reinterpret_cast<__m512i>(order), reinterpret_cast<__m512i>(v.part[0]));
+    return {{reinterpret_cast<Part>(_mm512_mask_set1_epi16(moved, 1u << 31, static_cast<short>(last)))}};
+#else
+    U16 out;
+    Part after = Part{} + last;
+    for (int i = kParts - 1; i >= 0; --i) {
+        out.part[i] = joined<kWidth / 2 - 1>(v.part[i], after);
+        after = v.part[i];
+    }
+    return out;
+#endif
+}
+
+template <int D>
+bool relax_block(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
+    using G = Geometry<D>;
+    const uint16_t* at[kMaxRows];
+    rows_of<D>(id, beside, static_cast<const uint16_t*>(d), kLanes, at);
+    const U16 own = load(cost + kLanes * size_t(id)), before = load(at[0]);
+    U16 others = fill(kFar), here = before;
+    for (const Direction& n : G::neighbour)
+        if (n.row) others = least(others, load(at[n.row] + n.lane));
+    const uint16_t left = at[0][-1], right = at[0][kLanes];
+    while (true) {  // within the block until it stands
+        const U16 best = least(others, least(from_left(here, left), from_right(here, right)));
+        const U16 sum = best + own;
+        const U16 next = least(here, sum | (own > sum));  // saturating
+        if (!any(next ^ here)) break;
+        here = next;
+    }
+    dirty[id] = 0;
+    if (!any(here ^ before)) return false;
+    store(d + kLanes * size_t(id), here);
+    for (int k = 0; k < G::rows; ++k) {
+        const int32_t other = k ? beside[k][id] : id;
+        dirty[other - 1] = dirty[other + 1] = 1;
+        if (k) dirty[other] = 1;
+    }
+    return true;
+}
+
+template <int D>
+bool relax(Ids ids, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
+    bool ever = false;
+    for (bool changed = true, down = true; changed; down = !down) {
+        changed = false;
+        for (size_t i = 0; i < ids.count; ++i) {
+            const int32_t id = ids.first[down ? i : ids.count - 1 - i];
+            if (dirty[id]) changed |= relax_block<D>(id, beside, cost, d, dirty);
+        }
+        ever |= changed;
+    }
+    return ever;
+}
+
+template <int D>
+constexpr Kernels::ByDimension by_dimension() {
+    return {start<D>, diffuse<D>, weigh<D>, touching<D>, border<D>, price<D>, dilate<D>, relax<D>};
+}
+
+}  // namespace
+
+#define CICATRIX_JOIN(a, b) a##b
+#define CICATRIX_NAME(isa) CICATRIX_JOIN(kernels_, isa)
+#define CICATRIX_STRING(x) #x
+#define CICATRIX_QUOTED(x) CICATRIX_STRING(x)
+
+const Kernels& CICATRIX_NAME(CICATRIX_ISA)() {
+    static constexpr Kernels table = {CICATRIX_QUOTED(CICATRIX_ISA), philox, draw, random_values, count_bits, expand, compare, count_from, mixed,
+                                      {by_dimension<2>(), by_dimension<3>()}};
+    return table;
+}
+
+}  // namespace cicatrix

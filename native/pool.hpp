@@ -1,0 +1,97 @@
+// A few threads that share out numbered pieces of work. What a piece does must not depend on who does it.
+#pragma once
+
+#include <atomic>
+#include <condition_variable>
+#include <exception>
+#include <functional>
+#include <mutex>
+#include <thread>
+#include <vector>
+
+namespace cicatrix {
+
+class Pool {
+   public:
+    explicit Pool(int threads) {
+        for (int i = 1; i < threads; ++i) workers_.emplace_back([this] { work(); });
+    }
+
+    ~Pool() {
+        {
+            std::lock_guard<std::mutex> lock(mutex_);
+            stop_ = true;
+        }
+        wake_.notify_all();
+        for (auto& worker : workers_) worker.join();
+    }
+
+    Pool(const Pool&) = delete;
+    Pool& operator=(const Pool&) = delete;
+
+    int threads() const { return static_cast<int>(workers_.size()) + 1; }
+
+    // Call job(0) .. job(n - 1), each once, and wait for all; the first exception is thrown again here.
+    template <class Job>
+    void each(int n, Job&& job) {
+        if (workers_.empty() || n < 2) {
+            for (int i = 0; i < n; ++i) job(i);
+            return;
+        }
+        const std::function<void(int)> call = std::ref(job);
+        {
+            std::lock_guard<std::mutex> lock(mutex_);
+            job_ = &call, n_ = n, busy_ = static_cast<int>(workers_.size()), error_ = nullptr;
+            next_.store(0);
+            round_.fetch_add(1);
+        }
+        wake_.notify_all();
+        share();
+        for (int spin = 0; spin < kSpins && busy_.load() > 0; ++spin) std::this_thread::yield();
+        std::unique_lock<std::mutex> lock(mutex_);
+        done_.wait(lock, [this] { return busy_.load() == 0; });
+        if (error_) std::rethrow_exception(error_);
+    }
+
+   private:
+    static constexpr int kSpins = 2000;  // pieces are short: sleeping would take longer than they do
+
+    void share() {
+        for (int i = next_.fetch_add(1); i < n_; i = next_.fetch_add(1)) {
+            try {
+                (*job_)(i);
+            } catch (...) {
+                std::lock_guard<std::mutex> lock(mutex_);
+                if (!error_) error_ = std::current_exception();
+            }
+        }
+    }
+
+    void work() {
+        unsigned seen = 0;
+        while (true) {
+            for (int spin = 0; spin < kSpins && round_.load() == seen && !stop_.load(); ++spin) std::this_thread::yield();
+            {
+                std::unique_lock<std::mutex> lock(mutex_);
+                wake_.wait(lock, [&] { return stop_.load() || round_.load() != seen; });
+                if (stop_.load()) return;
+                seen = round_.load();
+            }
+            share();
+            std::lock_guard<std::mutex> lock(mutex_);
+            if (busy_.fetch_sub(1) == 1) done_.notify_one();
+        }
+    }
+
+    std::vector<std::thread> workers_;
+    std::mutex mutex_;
+    std::condition_variable wake_, done_;
+    const std::function<void(int)>* job_ = nullptr;
+    int n_ = 0;
+    std::atomic<int> next_{0}, busy_{0};
+    std::atomic<unsigned> round_{0};
+    std::atomic<bool> stop_{false};
+    std::exception_ptr error_;
+};
+
+}  // namespace cicatrix

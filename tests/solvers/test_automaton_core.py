@@ -1,0 +1,143 @@
+"""The compiled automaton gives the bits of its NumPy twin: every instruction set, any number of threads, any wound."""
+
+import numpy as np
+import pytest
+
+from cicatrix.core import native
+from cicatrix.core.errors import InputError
+from cicatrix.geometry.hexgrid import Lattice
+from cicatrix.healing.automaton import Automaton, AutomatonRules, AutomatonState, NativeCore, pack_rows, unpack_rows
+from cicatrix.healing.model import Cue
+from cicatrix.healing.twin import TwinCore
+
+pytestmark = pytest.mark.skipif(not native.is_native, reason="the compiled module is not there")
+
+ONE = np.zeros(1), 1.0
+
+
+def random_case(i, size2=110, size3=34):
+    """Lattices of many blocks: masks, several wounds, wounds at the frame, every rule, cue of both kinds."""
+    rng = np.random.default_rng(1000 + i)
+    ndim, size = (3, size3) if i % 3 == 2 else (2, size2)
+    shape = tuple(int(n) for n in rng.integers(size // 3, size + 1, ndim))
+    lattice = Lattice(shape, 0.01, (0.0,) * ndim)
+    points = lattice.positions()
+    fillable = rng.random(shape) >= rng.choice([0.0, 0.0, 0.02, 0.3])
+    if i % 4 == 3:
+        fillable &= points[..., 0] > np.quantile(points[..., 0], 0.15)
+    open0 = np.zeros(shape, bool)
+    for _ in range(rng.integers(1, 4)):
+        centre = points.reshape(-1, ndim)[rng.integers(lattice.n_sites)]
+        open0 |= np.linalg.norm(points - centre, axis=-1) < 0.01 * rng.uniform(1.0, 0.3 * min(shape))
+    n_substeps = int(rng.choice([0, 1, 4, 8]))
+    rules = AutomatonRules(
+        p_edge=float(rng.choice([0.0, 0.2, 0.7, 1.0])),
+        p_layer=float(rng.choice([0.0, 0.02, 0.1, 0.5, 1.0])),
+        layer_sites=int(rng.choice([0, 1, 3, 8, 12])),
+        motility_substeps=n_substeps,
+        redistribution="level-set" if i % 4 == 1 and n_substeps else "route",
+        feedback=float(rng.choice([0.0, 1.0, -2.0])),
+        min_free_neighbours=int(rng.integers(1, 4)),
+        path_noise=float(rng.choice([0.0, 0.5, 16.0])),
+    )
+    cue = Cue(rng.uniform(0, 3, shape), 1.3) if i % 2 else Cue(0.7, 1.3)
+    return Automaton(lattice, fillable, open0 & fillable, rules, int(rng.integers(0, 2**63))), cue
+
+
+def pair(automaton, **kinds):
+    """Compiled core and twin, from the fresh wound."""
+    occupancy = automaton.initial_state().occupancy
+    arguments = (automaton.lattice, automaton.fillable, occupancy, automaton.rules, automaton.seed, 0)
+    return NativeCore(*arguments, **kinds), TwinCore(*arguments)
+
+
+def assert_same(core, twin, cue, n_steps):
+    for _ in range(n_steps):
+        np.testing.assert_array_equal(core.advance(1, *cue), twin.advance(1, *cue))
+        np.testing.assert_array_equal(core.occupancy(), twin.occupancy())
+
+
+@pytest.mark.parametrize("isa", native.instruction_sets())
+@pytest.mark.parametrize("i", range(24))
+def test_every_instruction_set_gives_the_bits_of_the_twin(i, isa):
+    automaton, cue = random_case(i)
+    assert_same(*pair(automaton, isa=isa), automaton.checked(cue), 6)
+
+
+@pytest.mark.parametrize("threads", [2, 3])
+@pytest.mark.parametrize("i", range(24))
+def test_threads_do_not_change_a_bit(i, threads):
+    automaton, cue = random_case(i)
+    assert_same(*pair(automaton, threads=threads), automaton.checked(cue), 6)
+
+
+@pytest.mark.parametrize("shape", [(700, 900), (90, 90, 90)])
+def test_threads_share_out_a_large_front(shape):
+    """Enough blocks for several pieces of work at once; one thread is the twin of the others here."""
+    lattice = Lattice(shape, 0.01, (0.0,) * len(shape))
+    centre = lattice.position(np.array(shape) / 2)
+    open0 = np.linalg.norm(lattice.positions() - centre, axis=-1) < 0.01 * 0.35 * min(shape)
+    rules = AutomatonRules(p_edge=0.2, p_layer=0.05, layer_sites=6, motility_substeps=6)
+    automaton = Automaton(lattice, np.ones(shape, bool), open0, rules, 5)
+    cores = [pair(automaton, threads=n)[0] for n in (1, 2, 4)]
+    counts = [core.advance(4, *ONE) for core in cores]
+    for core, count in zip(cores[1:], counts[1:]):
+        np.testing.assert_array_equal(count, counts[0])
+        np.testing.assert_array_equal(core.occupancy(), cores[0].occupancy())
+
+
+@pytest.mark.parametrize("i", range(8))
+def test_a_nearly_closed_wound_closes_alike(i):
+    """The last holes, with islands of cells between them, until nothing is open and beyond."""
+    rng = np.random.default_rng(i)
+    shape = (40, 70) if i % 2 else (12, 14, 40)
+    lattice = Lattice(shape, 0.01, (0.0,) * len(shape))
+    open0 = rng.random(shape) < 0.02
+    rules = AutomatonRules(p_edge=0.3, p_layer=0.05, layer_sites=3, motility_substeps=4)
+    automaton = Automaton(lattice, np.ones(shape, bool), open0, rules, i)
+    core, twin = pair(automaton)
+    assert_same(core, twin, ONE, 12)
+    core.advance(300, *ONE)
+    assert core.occupancy().all()
+
+
+def test_a_front_that_moves_far_widens_the_band():
+    """p = 1 fills many rings in one step; very many sub-steps erase a hole: both leave the first band."""
+    lattice = Lattice((200, 200), 0.01, (0.0, 0.0))
+    open0 = np.linalg.norm(lattice.positions() - lattice.position(np.array([100, 100])), axis=-1) < 0.6
+    full = AutomatonRules(p_edge=1.0, p_layer=1.0, layer_sites=30, motility_substeps=2)
+    assert_same(*pair(Automaton(lattice, np.ones_like(open0), open0, full, 2)), ONE, 2)
+    hole = np.zeros_like(open0)
+    hole[80, 90] = True
+    smooth = AutomatonRules(p_edge=0.0, p_layer=0.0, layer_sites=0, motility_substeps=300)
+    assert_same(*pair(Automaton(lattice, np.ones_like(open0), hole, smooth, 2)), ONE, 1)
+
+
+@pytest.mark.parametrize("i", [0, 1, 2, 5])
+def test_a_restart_with_other_threads_goes_on_to_the_same_bits(i):
+    automaton, cue = random_case(i)
+    checked = automaton.checked(cue)
+    straight = automaton.core(automaton.initial_state())
+    straight.advance(7, *checked)
+    first = automaton.core(automaton.initial_state(), threads=2)
+    first.advance(3, *checked)
+    second = automaton.core(AutomatonState(first.occupancy(), first.step), threads=3, isa="portable")
+    second.advance(4, *checked)
+    np.testing.assert_array_equal(second.occupancy(), straight.occupancy())
+    assert second.step == straight.step == 7
+
+
+def test_rows_are_packed_and_unpacked():
+    mask = np.random.default_rng(0).random((5, 3, 13)) < 0.5
+    packed = pack_rows(mask)
+    assert packed.size == 5 * 3 * 2
+    np.testing.assert_array_equal(unpack_rows(packed, mask.shape), mask)
+
+
+def test_threads_come_from_the_environment(monkeypatch):
+    monkeypatch.setenv("CICATRIX_THREADS", "2")
+    assert native.threads() == 2
+    for bad in ("0", "many", "-1"):
+        monkeypatch.setenv("CICATRIX_THREADS", bad)
+        with pytest.raises(InputError, match="CICATRIX_THREADS"):
+            native.threads()
