@@ -12,7 +12,7 @@ from cicatrix.core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2
 from cicatrix.io import figures
 from cicatrix.io.cases import load_case
 from cicatrix.io.claims import print_claims
-from cicatrix.io.runs import anatomy_of
+from cicatrix.io.lumpectomy_run import anatomy_of
 from cicatrix.study.prepare import loaded_in, prepare
 from cicatrix.study.summary import edge_profile
 

@@ -13,7 +13,7 @@ from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.io import figures
 from cicatrix.io.cases import load_case
 from cicatrix.io.claims import print_claims
-from cicatrix.io.runs import anatomy_of
+from cicatrix.io.lumpectomy_run import anatomy_of
 from cicatrix.outcome import closure
 from cicatrix.study.lumpectomy import last_cycle
 from cicatrix.study.prepare import prepare, reseeded

@@ -12,7 +12,7 @@ from cicatrix.coupling.cycle import run
 from cicatrix.io import figures
 from cicatrix.io.cases import load_case
 from cicatrix.io.claims import print_claims
-from cicatrix.io.runs import anatomy_of
+from cicatrix.io.lumpectomy_run import anatomy_of
 from cicatrix.study.lumpectomy import last_cycle
 from cicatrix.study.prepare import prepare, reseeded
 from cicatrix.study.summary import shape_numbers

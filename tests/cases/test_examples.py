@@ -9,7 +9,7 @@ import cicatrix
 from cicatrix.core.errors import InputError
 from cicatrix.io.paths import data_folder
 
-EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("*.toml"))
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("lumpectomy-*.toml"))
 
 
 @pytest.fixture(scope="module")

@@ -29,8 +29,14 @@ def test_claims_come_out_on_a_coarse_mesh_too(name):
     assert {claim: holds for claim, _, holds in rows} == expected, rows
 
 
+def test_the_level_set_teleports_and_paths_do_not():
+    paper = script("level-set-teleports")
+    rows = paper.table(paper.measure((1, 2)))
+    assert all(holds for _, _, holds in rows), rows
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*FIGURES, "clinic-closure"])
+@pytest.mark.parametrize("name", [*FIGURES, "clinic-closure", "level-set-teleports"])
 def test_the_whole_table_is_as_expected(name, tmp_path):
     """Each script says itself, by its exit code, whether its table is that of expected.csv."""
     done = subprocess.run([sys.executable, PAPERS / name / "run.py"], capture_output=True, text=True)

@@ -37,31 +37,6 @@ def roundness(automaton, state):
     return radius.std() / radius.mean()
 
 
-@pytest.mark.parametrize("n_substeps", [4, 6, 8])
-def test_level_set_teleports_and_routing_does_not(n_substeps):
-    """Division in the left half of the layer only: share of the daughters that appear on the right.
-
-    Both runs start from the same cells; the twin without division gives the baseline (motility alone).
-    PHYSICS section 2 states 44 % for the level set and 1 % for routing.
-    """
-    share = {}
-    for redistribution in ("level-set", "route"):
-        kinds = {"p_edge": 0.0, "layer_sites": 8, "motility_substeps": n_substeps, "redistribution": redistribution}
-        quiet = disc(1.0, 0.01, AutomatonRules(p_layer=0.0, **kinds))
-        state = quiet.advance(quiet.initial_state(), n_steps=3)
-        x = quiet.lattice.positions()[..., 0]
-        left_only = Cue(np.where(x < 0, 0.0, -1.0), 1.0)  # F = -1 on the right: p = 0
-        right = {}
-        for p in (0.0, 0.1):
-            rules = AutomatonRules(p_layer=p, feedback=1.0, **kinds)
-            new = Automaton(quiet.lattice, quiet.fillable, quiet.open0, rules, 1).advance(state, left_only)
-            right[p] = np.count_nonzero(new.occupancy & (x > 0)), new.n_layer_divisions
-        share[redistribution] = (right[0.1][0] - right[0.0][0]) / right[0.1][1]
-    print(share)
-    assert 0.35 < share["level-set"] < 0.6
-    assert abs(share["route"]) < 0.02
-
-
 def test_front_speeds_up_as_the_wound_shrinks():
     """v = p delta (1 + delta / 2R), delta = 0.3 mm the layer: factor 1.18 at 0.85 mm, 1.5 at 0.3 mm."""
     rules = AutomatonRules(p_edge=0.0, p_layer=0.04, layer_sites=30)

@@ -17,7 +17,7 @@ from cicatrix.image.phantom import phantom
 from cicatrix.image.segment import from_labels, segment
 from cicatrix.io.cases import load_case
 from cicatrix.io.images import read_image, read_labels, write_volume
-from cicatrix.io.runs import anatomy_of
+from cicatrix.io.lumpectomy_run import anatomy_of
 
 DATA = Path(os.environ.get("CICATRIX_DATA", Path(__file__).parents[3] / "shared" / "data"))
 

@@ -19,12 +19,14 @@ def print_headline(results: Results) -> None:
 
 
 def _numbers(results: Results) -> Iterator[str]:
-    """One line per quantity that is a single number or missing; tables are for outcome.json."""
+    """One line per quantity that is a single number, a text or missing; tables are for outcome.json."""
     for name, asked in results.outcome.items():
-        if asked.value is None or isinstance(asked.value, (int, float)):
+        if asked.value is None or isinstance(asked.value, (int, float, str)):
             yield f"  {name:<32} {_value(asked)}"
 
 
 def _value(asked: Quantity) -> str:
+    if isinstance(asked.value, str):
+        return asked.value
     words = "not available" if asked.value is None else f"{asked.value:.4g} {asked.unit}".rstrip()
     return f"{words:<16}  {asked.note}".rstrip()

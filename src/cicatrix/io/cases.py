@@ -13,13 +13,17 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..core.errors import InputError
+from ..study.automaton_case import AutomatonCase
 from ..study.case import LumpectomyCase, Table
 from ..study.limits import FAULT, OUT_OF_RANGE
 from .paths import input_path
 
-Case = LumpectomyCase
-KINDS: dict[str, type[LumpectomyCase]] = {"lumpectomy": LumpectomyCase}
-PATH_KEYS = ("path", "labels")  # of the table [image]
+Case = LumpectomyCase | AutomatonCase
+KINDS: dict[str, type[Case]] = {"lumpectomy": LumpectomyCase, "automaton": AutomatonCase}
+FILES = {  # table and key of everything that names a file
+    "lumpectomy": (("image", "path"), ("image", "labels")),
+    "automaton": (("lattice", "fillable"), ("wound", "mask"), ("cue", "W")),
+}
 
 TYPE_WORDS = {
     "float_type": "must be a number",
@@ -58,10 +62,12 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> Case:
     return case
 
 
-def demo_case() -> Case:
+def demo_case() -> LumpectomyCase:
     """Return the case that ``cicatrix demo`` runs."""
     with resources.as_file(resources.files("cicatrix.study") / "demo.toml") as path:
-        return load_case(path)
+        case = load_case(path)
+    assert isinstance(case, LumpectomyCase)
+    return case
 
 
 def check_case(path: str | Path, overrides: Sequence[str] = ()) -> list[str]:
@@ -99,16 +105,16 @@ def case_table(case: Case) -> dict[str, Any]:
     Folder names can identify a patient, and they say nothing about content: the manifest's hashes do.
     """
     table = case.model_dump(mode="python")
-    for key in PATH_KEYS:
-        if table["image"][key] is not None:
-            table["image"][key] = Path(table["image"][key]).name
+    for name, key in FILES[case.kind]:
+        if isinstance(table[name][key], Path):
+            table[name][key] = table[name][key].name
     return json.loads(json.dumps(table))
 
 
 def input_files(case: Case) -> dict[str, Path]:
     """Return the files and folders that a case reads, by key."""
-    found = {f"image.{key}": getattr(case.image, key) for key in PATH_KEYS}
-    return {key: path for key, path in found.items() if path is not None}
+    found = {f"{name}.{key}": getattr(getattr(case, name), key) for name, key in FILES[case.kind]}
+    return {key: path for key, path in found.items() if isinstance(path, Path)}
 
 
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Case | None, list[str]]:
@@ -117,7 +123,7 @@ def _examine(path: Path, overrides: Sequence[str]) -> tuple[Case | None, list[st
         kind = KINDS[_kind_of(raw)]
     except InputError as error:
         return None, [str(error)]
-    located, faults = _locate(raw, path.parent)
+    located, faults = _locate(raw, FILES[raw["kind"]], path.parent)
     try:
         case = kind.model_validate(located)
     except ValidationError as error:
@@ -149,17 +155,16 @@ def _kind_of(raw: Mapping[str, Any]) -> str:
     return kind
 
 
-def _locate(raw: dict[str, Any], folder: Path) -> tuple[dict[str, Any], list[str]]:
-    """Resolve the paths of the image table; a file that is not there is a fault."""
-    image, faults = raw.get("image"), []
-    if not isinstance(image, dict):
-        return raw, faults
-    for key in PATH_KEYS:
-        if isinstance(image.get(key), str):
+def _locate(raw: dict[str, Any], files: Sequence[tuple[str, str]], folder: Path) -> tuple[dict[str, Any], list[str]]:
+    """Resolve the paths of a case; a file that is not there is a fault."""
+    faults = []
+    for name, key in files:
+        table = raw.get(name)
+        if isinstance(table, dict) and isinstance(table.get(key), str):
             try:
-                image[key] = input_path(image[key], folder)
+                table[key] = input_path(table[key], folder)
             except InputError as error:
-                faults.append(f"image.{key} {error}")
+                faults.append(f"{name}.{key} {error}")
     return raw, faults
 
 

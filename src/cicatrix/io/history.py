@@ -1,4 +1,4 @@
-"""history.csv: one row per cycle, on disk as soon as it is known, byte for byte reproducible."""
+"""history.csv: one row per cycle or step, counted by its first column; on disk at once, reproducible to the byte."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from typing import Any, TextIO
 import numpy as np
 
 from .atomic import write_bytes
-
-CYCLE = "cycle"
 
 
 class History:
@@ -36,7 +34,7 @@ class History:
         Parameters
         ----------
         row : mapping of str to number
-            Has ``cycle``; floats are written so that they read back exactly.
+            The first counts the rows (``cycle``, ``step``); floats are written so that they read back exactly.
 
         Raises
         ------
@@ -45,19 +43,18 @@ class History:
         """
         if not self._columns:
             self._start(list(row))
-        if list(row) != self._columns or CYCLE not in row:
+        if list(row) != self._columns:
             raise ValueError(f"a history row must have the columns {self._columns}; got {list(row)}")
         self._write([_text(value) for value in row.values()])
 
-    def cut_after(self, cycle: int) -> None:
-        """Drop the rows of later cycles, and a last row that was not written to its end."""
+    def cut_after(self, last: int) -> None:
+        """Drop the rows after a number of the first column, and a last row that was not written to its end."""
         if not self._columns:
             self.path.unlink(missing_ok=True)
             return
         self.close()
         head, *rows = _whole_lines(self.path)
-        at = self._columns.index(CYCLE)
-        kept = [row for row in rows if int(next(csv.reader([row]))[at]) <= cycle]
+        kept = [row for row in rows if int(next(csv.reader([row]))[0]) <= last]
         write_bytes(self.path, "".join([head, *kept]).encode())
 
     def sync(self) -> None:

@@ -182,7 +182,7 @@ class RunFolder:
         return run
 
     def record(self, row: Mapping[str, Any]) -> None:
-        """Append a row to history.csv: ``cycle`` and numbers with units in their names, the same names each time."""
+        """Append a row to history.csv: its count and numbers with units in their names, the same names each time."""
         self._history.record(row)
 
     def write_fields(
@@ -233,6 +233,10 @@ class RunFolder:
             for name, asked in outcome.items()
         }
         write_json(self.path / "outcome.json", table)
+
+    def history(self) -> dict[str, np.ndarray]:
+        """Columns of history.csv as written so far."""
+        return read_history(self.path / "history.csv")
 
     def note(self, sentence: str) -> None:
         """Add a sentence to the manifest's notes."""

@@ -1,0 +1,301 @@
+"""A lumpectomy, from its image to the healed shape: the stages of a run and what each writes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..core.errors import InputError
+from ..core.newton import NewtonReport
+from ..coupling.cycle import HealingCycle, TissueState, run
+from ..geometry.labels import Label
+from ..geometry.volume import Volume
+from ..healing.automaton import AutomatonState
+from ..image.phantom import phantom
+from ..image.segment import Segmentation, from_labels, segment
+from ..mechanics.equilibrium import Equilibrium
+from ..study.case import LumpectomyCase
+from ..study.lumpectomy import (
+    Anatomy,
+    Plan,
+    equilibrium_of,
+    healing_cycle,
+    imaged_in,
+    last_cycle,
+    margin_mm,
+    plan,
+    plan_arrays,
+    plan_from_arrays,
+    visit_cycles,
+)
+from ..study.summary import (
+    closing_sentence,
+    closure_numbers,
+    edge_profile,
+    history_row,
+    outcome_numbers,
+    shape_numbers,
+    visit_name,
+)
+from . import figures
+from .checkpoints import Checkpoint
+from .images import read_image, read_labels
+from .progress import Progress
+from .results import Quantity, RunFolder
+
+BEFORE, FRESH, HEALED = "before", "fresh", "healed"
+
+
+def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[Anatomy, tuple[str, ...]]:
+    """Read the case's image and segment it, or take the labels as given; also what there is to note about it.
+
+    Raises
+    ------
+    InputError
+        If the image cannot be read or shows no breast.
+    """
+    image, progress = case.image, progress or Progress()
+    picture, tumour = None, None
+    with progress.stage("image"):
+        if image.phantom is not None:
+            picture, truth = phantom(
+                spacing_mm=image.voxel_mm, seed=case.run.seed, weighting=image.weighting, side=image.side
+            )
+            tumour = truth.position(np.argwhere(truth.values == Label.TUMOUR).mean(axis=0))
+        elif image.path is not None:
+            picture = read_image(image.path)
+    with progress.stage("segment"):
+        if image.labels is not None:
+            found = from_labels(read_labels(image.labels))
+        else:
+            centre = case.resection.centre_mm if tumour is None else tuple(tumour.tolist())
+            found = _segment(case, picture, centre, progress)
+    return Anatomy(picture, found.labels, found.probabilities, tumour), found.notes
+
+
+def _segment(
+    case: LumpectomyCase, picture: Volume | None, centre: tuple[float, ...] | None, progress: Progress
+) -> Segmentation:
+    if picture is None:
+        raise InputError("image.path is missing: name an image, a label map by image.labels, or a phantom.")
+    image = case.image
+    wall = image.chest_wall and (image.chest_wall.points_mm or image.chest_wall.model_dump(exclude_none=True))
+    return segment(
+        picture,
+        weighting=image.weighting,
+        side=image.side,
+        position=image.position,
+        chest_wall=wall,
+        resection_centre_mm=centre,
+        report=lambda stage, fraction: progress.update(fraction, stage),
+    )
+
+
+@dataclass
+class LumpectomyRun:
+    """The stages of one run, in order; everything a checkpoint must hold is in ``shapes``, ``fronts``, ``rows``, the state."""
+
+    case: LumpectomyCase
+    folder: RunFolder
+    progress: Progress
+    shapes: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (position, moment) -> x (n_nodes, 3)
+    fronts: list[np.ndarray] = field(default_factory=list)  # open sites after each cycle
+    rows: list[dict] = field(default_factory=list)
+
+    def go(self) -> str:
+        """Run all stages; returns the sentence that ends the run."""
+        if self.folder.checkpoint is None:
+            planned, cycle, start = self._begin()
+        else:
+            planned, cycle, start = self._resume(self.folder.checkpoint)
+        state = start
+        with self.progress.stage("heal"):
+            for state in run(cycle, start, last_cycle(self.case)):
+                self._record(planned, cycle, state)
+                self.progress.update(self.rows[-1]["closed_fraction"], f"day {self.rows[-1]['time_days']:.0f}")
+        with self.progress.stage("outcome"):
+            self._finish(planned, cycle, state)
+        return closing_sentence(cycle, state)
+
+    def _begin(self) -> tuple[Plan, HealingCycle, TissueState]:
+        anatomy, notes = anatomy_of(self.case, self.progress)
+        self.folder.save_labels(anatomy.labels)
+        for note in notes:
+            self.folder.note(note)
+        with self.progress.stage("mesh"):
+            planned = plan(self.case, anatomy)
+            margin, wanted = margin_mm(planned, anatomy), self.case.resection.margin_mm
+            if margin < wanted:
+                self.folder.note(
+                    f"the resection leaves {margin:.1f} mm around the tumour; resection.margin_mm is {wanted:g}"
+                )
+            self.folder.save_figure("section", figures.section_figure(planned, anatomy))
+        equilibrium = self._equilibrium()
+        with self.progress.stage("unload"):
+            X, report = equilibrium.unloaded(
+                planned.intact, planned.x_imaged, planned.gravity(self.case.image.position)
+            )
+            self._tell("unloaded shape", report)
+        with self.progress.stage("before surgery"):
+            for position in self._positions:
+                self.progress.update(0.0, position)
+                start = imaged_in(self.case, planned, position)
+                x, report = equilibrium.loaded(planned.intact, X, planned.gravity(position), start)
+                self.shapes[position, BEFORE] = x
+                self._tell(f"before surgery, {position}", report)
+        cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium)
+        with self.progress.stage("surgery"):
+            state = cycle.start()
+            self._visit(planned, cycle, state, FRESH)
+            self._record(planned, cycle, state)
+        return planned, cycle, state
+
+    def _equilibrium(self) -> Equilibrium:
+        return equilibrium_of(self.case, lambda words: self.progress.update(None, words))
+
+    @property
+    def _home(self) -> str:
+        return self.case.coupling.healing_position
+
+    @property
+    def _positions(self) -> list[str]:
+        """Positions to solve for, the healing position first."""
+        return list(dict.fromkeys([self._home, *self.case.outcome.positions]))
+
+    def _tell(self, what: str, report: NewtonReport) -> None:
+        """Note a solve that needed more than a plain Newton run."""
+        if len(report.history) > 1:
+            self.folder.note(f"{what}: {report.iterations} iterations; " + "; ".join(report.history))
+
+    def _record(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> None:
+        """Write what a cycle gave: visits, row, fields, checkpoint, in this order."""
+        for weeks, at in visit_cycles(self.case).items():
+            if at == state.cycle:
+                self._visit(planned, cycle, state, visit_name(weeks))
+        self.fronts.append(cycle.open_sites(state.healing))
+        self.rows.append(history_row(cycle, state))
+        self.folder.record(self.rows[-1])
+        body = cycle.body(state)
+        space = planned.intact.frame.space
+        weights = body.volumes(cycle.X)
+        W = np.sum(body.energy_density(cycle.X, state.x) * weights, axis=1) / np.sum(weights, axis=1)
+        self.folder.write_fields(
+            "body",
+            state.cycle,
+            cycle.days(state.cycle),
+            cycle.X[: space.bubbles[0]],
+            space.element_nodes[:, :6],
+            {"displacement": (state.x - cycle.X)[: space.bubbles[0]]},
+            {
+                "filled_fraction": state.filled,
+                "strain_energy_density_kPa": W,
+                "cavity": planned.cavity.astype(np.int32),
+            },
+        )
+        self.folder.save_checkpoint(state.cycle, self._arrays(planned, cycle, state), self._scalars(state))
+
+    def _visit(self, planned: Plan, cycle: HealingCycle, state: TissueState, moment: str) -> None:
+        """Solve for the shape in every position."""
+        body = cycle.body(state)
+        for position in self._positions:
+            if position == self._home:
+                self.shapes[position, moment] = state.x
+                continue
+            start = cycle.extension.fill(self.shapes[position, BEFORE], body.fraction)
+            x, report = cycle.equilibrium.loaded(body, cycle.X, planned.gravity(position), start)
+            self._tell(f"{moment}, {position}", report)
+            self.shapes[position, moment] = cycle.extension.fill(x, body.fraction)
+
+    def _arrays(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> dict[str, np.ndarray]:
+        arrays = {f"plan.{name}": array for name, array in plan_arrays(planned).items()}
+        arrays |= {f"shape.{position}.{moment}": x for (position, moment), x in self.shapes.items()}
+        arrays |= {"X": cycle.X, "x": state.x, "natural": state.natural, "filled": state.filled}
+        arrays |= {"occupancy": state.healing.occupancy, "fronts": np.packbits(np.array(self.fronts), axis=-1)}
+        return arrays
+
+    def _scalars(self, state: TissueState) -> dict:
+        healing = state.healing
+        return {
+            "rows": [{k: None if v != v else v for k, v in row.items()} for row in self.rows],
+            "W_ref": state.W_ref,
+            "newton_iterations": state.newton_iterations,
+            "closure_step": state.closure_step,
+            "healing": [
+                healing.step,
+                healing.n_edge_divisions,
+                healing.n_layer_divisions,
+                healing.n_dropped,
+                healing.n_clamped,
+            ],
+        }
+
+    def _resume(self, kept: Checkpoint) -> tuple[Plan, HealingCycle, TissueState]:
+        arrays, scalars = kept.arrays, kept.scalars
+        planned = plan_from_arrays(self.case, _part(arrays, "plan."))
+        self.shapes = {tuple(name.split(".", 1)): x for name, x in _part(arrays, "shape.").items()}
+        X = arrays["X"]
+        cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], self._equilibrium())
+        width = cycle.automaton.lattice.shape[-1]
+        self.fronts = list(np.unpackbits(arrays["fronts"], axis=-1, count=width).astype(bool))
+        self.rows = [{k: np.nan if v is None else v for k, v in row.items()} for row in scalars["rows"]]
+        healing = AutomatonState(arrays["occupancy"].astype(bool), *scalars["healing"])
+        state = TissueState(
+            kept.cycle,
+            healing,
+            arrays["filled"],
+            arrays["natural"],
+            arrays["x"],
+            scalars["newton_iterations"],
+            scalars["W_ref"],
+            scalars["closure_step"],
+        )
+        return planned, cycle, state
+
+    def _finish(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> None:
+        """Shapes at the end, visits that came after closure, numbers and pictures."""
+        self._visit(planned, cycle, state, HEALED)
+        for weeks, at in visit_cycles(self.case).items():
+            if state.is_closed and at > state.cycle:
+                for position in self._positions:
+                    self.shapes[position, visit_name(weeks)] = self.shapes[position, HEALED]
+        changes = {
+            (position, moment): shape_numbers(planned, self.shapes[position, BEFORE], x)
+            for (position, moment), x in self.shapes.items()
+            if moment != BEFORE and position in self.case.outcome.positions
+        }
+        main = self._home if self._home in self.case.outcome.positions else self.case.outcome.positions[0]
+        numbers = closure_numbers(cycle, state, self.rows) | outcome_numbers(changes, (main, HEALED))
+        self.folder.write_outcome({name: Quantity(n.value, n.unit, n.note) for name, n in numbers.items()})
+        self._draw(planned, cycle, state)
+
+    def _draw(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> None:
+        mode = f"{self.case.coupling.mode} coupling, healing {self._home}"
+        self.folder.save_figure(
+            "closure", figures.closure_figure(planned, cycle.automaton.lattice, self.fronts, self.rows, mode)
+        )
+        moments = [BEFORE, FRESH, *(visit_name(w) for w in self.case.outcome.visits_weeks), HEALED]
+        shapes = {
+            p: [(m, self.shapes[p, m]) for m in moments if (p, m) in self.shapes] for p in self.case.outcome.positions
+        }
+        cavity = {p: self.shapes[p, HEALED] for p in self.case.outcome.positions}
+        self.folder.save_figure("outline", figures.outline_figure(planned, shapes, cavity))
+        before, x_fresh = self.shapes[self._home, BEFORE], self.shapes[self._home, FRESH]
+        fresh = cycle.body(cycle.unhealed(x_fresh))
+        panels = {
+            "before surgery": figures.energy_panel(planned.intact, cycle.X, before),
+            "fresh cavity": figures.energy_panel(fresh, cycle.X, x_fresh),
+            closing_word(state): figures.energy_panel(cycle.body(state), cycle.X, state.x),
+        }
+        self.folder.save_figure("energy", figures.energy_figure(planned, panels))
+        edge = edge_profile(planned, planned.intact, cycle.X, before), edge_profile(planned, fresh, cycle.X, x_fresh)
+        self.folder.save_figure("edge-energy", figures.edge_figure({self._home: edge}))
+
+
+def closing_word(state: TissueState) -> str:
+    """What the last shape is called."""
+    return HEALED if state.is_closed else "at the last week"
+
+
+def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
+    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}

@@ -1,0 +1,195 @@
+"""Cases of kind "automaton": to closure, stopped and resumed, and what is refused."""
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import cicatrix
+from cicatrix.cli.main import main
+from cicatrix.core import native
+from cicatrix.core.errors import InputError
+from cicatrix.geometry.hexgrid import Lattice
+from cicatrix.io.cases import check_case, load_case
+from cicatrix.io.progress import Progress
+from cicatrix.study.automaton_case import automaton_of, inradius_um
+
+DISC = """
+kind = "automaton"
+[lattice]
+size = [120, 150]
+[wound]
+shape = "disc"
+radius_um = 300.0
+"""
+BALL = """
+kind = "automaton"
+[lattice]
+type = "fcc"
+size = [40, 40, 40]
+[wound]
+shape = "ball"
+radius_um = 90.0
+"""
+
+
+@pytest.fixture
+def case_file(tmp_path):
+    def write(text, name="case.toml"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
+
+
+@pytest.mark.parametrize("name", ["automaton-disc", "automaton-ball"])
+def test_the_examples_close(name):
+    path = Path(__file__).parents[2] / "examples" / f"{name}.toml"
+    assert cicatrix.simulate(load_case(path)).history["n_open"][-1] == 0
+
+
+@pytest.mark.parametrize("text", [DISC, BALL])
+def test_a_wound_closes_and_every_step_is_told(text, case_file, tmp_path):
+    results = cicatrix.simulate(load_case(case_file(text)), tmp_path / "run")
+    history, outcome = results.history, results.outcome
+    assert list(history) == ["step", "n_cells", "n_open", "closed_fraction", "n_edge_divisions", "n_layer_divisions"]
+    np.testing.assert_array_equal(history["step"], np.arange(len(history["step"])))
+    np.testing.assert_array_equal(
+        np.diff(history["n_cells"]), (history["n_edge_divisions"] + history["n_layer_divisions"])[1:]
+    )
+    assert history["n_open"][-1] == 0
+    assert history["n_open"][-2] > 0
+    assert outcome["steps_to_closure"].value == history["step"][-1]
+    full = np.packbits(np.ones(outcome["n_sites"].value, bool)).tobytes()
+    assert outcome["occupancy_sha256"].value == hashlib.sha256(full).hexdigest()
+    assert (tmp_path / "run" / "figures" / "closure.png").stat().st_size > 10_000
+
+
+def test_the_hash_is_that_of_the_bits_in_c_order(case_file):
+    """Stopped half-way; the occupancy is found again by the API."""
+    case = load_case(case_file(DISC), ["run.max_steps=25"])
+    automaton = automaton_of(case)
+    state = automaton.advance(automaton.initial_state(), n_steps=25)
+    results = cicatrix.simulate(case)
+    expected = hashlib.sha256(np.packbits(state.occupancy.ravel()).tobytes()).hexdigest()
+    assert results.outcome["occupancy_sha256"].value == expected
+    assert results.outcome["steps_to_closure"].value is None
+    assert "still open after 25 steps" in results.status[1]
+
+
+class Stopper(Progress):
+    """Stops the run as Ctrl-C does, when a step is reached."""
+
+    def __init__(self, at):
+        super().__init__()
+        self.at = at
+
+    def update(self, fraction, words=""):
+        if words == f"step {self.at}":
+            raise KeyboardInterrupt
+
+
+def test_stopped_and_resumed_is_uninterrupted(case_file, tmp_path, monkeypatch):
+    case = load_case(case_file(DISC), ["rules.p_layer=0.004"])
+    straight = cicatrix.simulate(case, tmp_path / "straight")
+    assert straight.history["step"][-1] > 120
+    with pytest.raises(KeyboardInterrupt):
+        cicatrix.simulate(case, tmp_path / "stopped", progress=Stopper(120))
+    monkeypatch.setattr(native, "threads", lambda: 2)
+    resumed = cicatrix.simulate(case, tmp_path / "stopped", resume=True)
+    assert any("Resumed after cycle 100" in note for note in resumed.manifest["notes"])
+    for name in ("history.csv", "figures/closure.png"):
+        assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes()
+    same = "steps_to_closure", "occupancy_sha256"
+    assert all(resumed.outcome[name] == straight.outcome[name] for name in same)
+
+
+def test_masks_and_energies_from_files(case_file, tmp_path):
+    lattice = Lattice((30, 40), 0.01, (0.0, 0.0))
+    open0 = np.zeros(lattice.shape, bool)
+    open0[10:20, 12:30] = True
+    fillable = np.ones(lattice.shape, np.uint8)
+    fillable[:, 35:] = 0
+    for name, array in (("open", open0), ("fillable", fillable), ("W", np.full(lattice.shape, 2.0))):
+        np.save(tmp_path / f"{name}.npy", array)
+    text = """
+kind = "automaton"
+[lattice]
+size = [30, 40]
+fillable = "fillable.npy"
+[wound]
+mask = "open.npy"
+[rules]
+feedback = 1.0
+[cue]
+W = "W.npy"
+"""
+    path = case_file(text)
+    by_file = cicatrix.simulate(load_case(path))
+    by_number = cicatrix.simulate(load_case(path, ["cue.W=2.0"]))
+    assert by_file.outcome["occupancy_sha256"] == by_number.outcome["occupancy_sha256"]
+    assert by_file.history["n_open"][0] == 180
+    assert {"wound.mask", "lattice.fillable", "cue.W"} <= set(by_file.manifest["inputs"])
+
+
+@pytest.mark.parametrize(
+    ("change", "sentence"),
+    [
+        ("lattice.size=[0, 10]", "lattice.size[0] must be at least 1"),
+        ("lattice.size=[-5, 10]", "lattice.size[0] must be at least 1"),
+        ("lattice.size=[64, 64, 64]", "lattice.size must be 2 numbers"),
+        ("lattice.type=bcc", 'lattice.type must be "hex" or "fcc"'),
+        ("lattice.pitch_um=0", "lattice.pitch_um must be above 0"),
+        ("wound.shape=ball", 'wound.shape must be "disc"'),
+        ("wound.radius_um=-3", "wound.radius_um must be above 0"),
+        ("rules.p_edge=1.2", "rules.p_edge must be at least 0 and at most 1"),
+        ("rules.p_layer=nan", "rules.p_layer must be"),
+        ("rules.contact_inhibition=13", "rules.contact_inhibition must be"),
+        ("cue.W=energies.npy", "cue.W"),
+        ("rules.p_edges=0.1", "did you mean rules.p_edge"),
+    ],
+)
+def test_faults_of_a_case_are_told(change, sentence, case_file):
+    faults = check_case(case_file(DISC), [change])
+    assert any(sentence in fault for fault in faults), faults
+
+
+def test_faults_of_arrays_are_told(case_file, tmp_path):
+    shape = (120, 150)
+    bad = {
+        "nan": np.full(shape, np.nan),
+        "wrong_shape": np.zeros((3, 3)),
+        "open": np.ones(shape, bool),
+        "closed": np.zeros(shape, bool),
+    }
+    for name, array in bad.items():
+        np.save(tmp_path / f"{name}.npy", array)
+    (tmp_path / "text.npy").write_text("no array")
+    masked = DISC.replace('shape = "disc"\nradius_um = 300.0', 'mask = "MASK.npy"')
+    for name, sentence in (
+        ("open", "leaves no cell"),
+        ("closed", "holds no site"),
+        ("wrong_shape", "must be a mask"),
+        ("text", "not a NumPy file"),
+    ):
+        with pytest.raises(InputError, match=sentence):
+            cicatrix.simulate(load_case(case_file(masked.replace("MASK", name))), tmp_path / name)
+        assert not (tmp_path / name).exists()
+    for name, sentence in (("nan", "finite"), ("wrong_shape", "lattice's shape")):
+        with pytest.raises(InputError, match=sentence):
+            cicatrix.simulate(load_case(case_file(DISC), [f"cue.W={name}.npy"]))
+
+
+def test_a_wound_larger_than_the_lattice_is_refused(case_file, tmp_path, capsys):
+    path = case_file(DISC)
+    assert main(["run", str(path), "--set", "wound.radius_um=9000", "--out", str(tmp_path / "run")]) == 2
+    told = capsys.readouterr().err
+    assert "larger than the lattice" in told
+    assert not (tmp_path / "run").exists()
+
+
+def test_the_largest_disc_just_fits():
+    lattice = Lattice((80, 60), 0.01, (0.0, 0.0))
+    assert inradius_um(lattice) == pytest.approx(10.0 * 59 * np.sqrt(3) / 4)
