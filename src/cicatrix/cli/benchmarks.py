@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable
 from importlib import import_module
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
@@ -17,15 +16,7 @@ from ..io.atomic import write_bytes
 from ..io.cases import demo_case
 from ..io.checkpoints import load_checkpoint, npz_bytes, save_checkpoint
 from ..io.progress import Progress
-
-
-class Measurement(NamedTuple):
-    """One number of a benchmark: what, how much, in which unit, and a note such as "ceiling"."""
-
-    what: str
-    value: float
-    unit: str
-    note: str = ""
+from .measurement import Measurement, best_of
 
 
 def checkpoint() -> list[Measurement]:
@@ -35,9 +26,9 @@ def checkpoint() -> list[Measurement]:
     content = npz_bytes(arrays)
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        write = _best(lambda: write_bytes(folder / "raw", content))
-        save = _best(lambda: save_checkpoint(folder, 1, arrays))
-        load = _best(lambda: load_checkpoint(folder))
+        write = best_of(lambda: write_bytes(folder / "raw", content))
+        save = best_of(lambda: save_checkpoint(folder, 1, arrays))
+        load = best_of(lambda: load_checkpoint(folder))
     return [
         Measurement("write the bytes alone", write, "s", "ceiling"),
         Measurement("save a checkpoint", save, "s"),
@@ -64,14 +55,13 @@ def road2d() -> list[Measurement]:
     ]
 
 
-def _best(work: Callable[[], object], repeats: int = 5) -> float:
-    """Least seconds of some repeats: what else the machine does only adds."""
-    seconds = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        seconds.append(time.perf_counter() - start)
-    return min(seconds)
+def automaton() -> list[Measurement]:
+    """The automaton: cycles and closure on 10^6 to 10^8 sites, next to twin, dense stencil, Mesa and ceilings."""
+    return import_module(".bench_automaton", __package__).automaton()
 
 
-BENCHMARKS: dict[str, Callable[[], list[Measurement]]] = {"checkpoint": checkpoint, "road2d": road2d}
+BENCHMARKS: dict[str, Callable[[], list[Measurement]]] = {
+    "checkpoint": checkpoint,
+    "road2d": road2d,
+    "automaton": automaton,
+}

@@ -1,0 +1,227 @@
+"""The automaton's benchmark: the compiled core beside its twin, a dense stencil, the machine's ceilings and Mesa."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..core import native
+from ..core.errors import InputError
+from ..geometry.hexgrid import Lattice
+from ..healing.redistribution import path_noise_limit
+from ..healing.rules import AutomatonRules
+from ..healing.twin import TwinCore
+from .measurement import Measurement, best_of
+
+RULES = AutomatonRules(p_edge=0.2, p_layer=0.02, layer_sites=8, motility_substeps=8)
+DISCS = ((1000, 300), (3200, 960), (10_000, 3000))  # sites along an axis, radius in sites
+BALLS = ((160, 50), (450, 150))
+W = np.zeros(1)
+
+
+def automaton() -> list[Measurement]:
+    """Milliseconds per cycle and seconds to closure, next to peers and ceilings measured in the same run."""
+    if not native.is_native:
+        raise InputError("the compiled module is not there (or CICATRIX_NATIVE = 0): there is nothing to measure")
+    rows = [*_ceilings()]
+    for n, radius in DISCS:
+        rows += _size((n, n), radius)
+    for n, radius in BALLS:
+        rows += _size((n, n, n), radius, close=radius <= 50)
+    rows += [*_peers()]
+    return rows
+
+
+def packed_ball(shape: tuple[int, ...], radius_sites: float) -> np.ndarray:
+    """Cells around an open disc or ball in the middle, as packed rows, without an array of the lattice's size."""
+    lattice = Lattice(shape, 1.0, (0.0,) * len(shape))
+    middle = lattice.position((np.array(shape) - 1) / 2)
+    along = np.arange(shape[-1])[:, None] * lattice.basis_mm[-1]
+    rows = []
+    for row in np.ndindex(shape[:-1]):
+        gap = lattice.position(np.array([*row, 0])) - middle + along
+        rows.append(np.packbits((gap**2).sum(axis=1) >= radius_sites**2, bitorder="little"))
+    return np.concatenate(rows)
+
+
+def compiled(shape: tuple[int, ...], radius_sites: float, threads: int = 1, isa: str = "") -> Any:
+    """The compiled core on a fresh wound."""
+    occupied = packed_ball(shape, radius_sites)
+    row = np.packbits(np.ones(shape[-1], bool), bitorder="little")
+    assert native.automaton_core is not None
+    return native.automaton_core(
+        list(shape),
+        np.tile(row, occupied.size // row.size),
+        occupied,
+        p_edge=RULES.p_edge,
+        p_layer=RULES.p_layer,
+        layer_sites=RULES.layer_sites,
+        motility_substeps=RULES.motility_substeps,
+        level_set=False,
+        feedback=0.0,
+        min_free_neighbours=1,
+        path_noise=path_noise_limit(RULES.path_noise),
+        seed=1,
+        step=0,
+        threads=threads,
+        isa=isa,
+    )
+
+
+def ms_per_cycle(core: Any, n_steps: int) -> float:
+    """Milliseconds per step after two steps of warming up."""
+    core.advance(2, W, 1.0)
+    start = time.perf_counter()
+    core.advance(n_steps, W, 1.0)
+    return 1e3 * (time.perf_counter() - start) / n_steps
+
+
+def _size(shape: tuple[int, ...], radius: int, close: bool = True) -> list[Measurement]:
+    """One lattice: per cycle, by threads, memory, the counted floor, and to closure."""
+    name = f"{np.prod(shape, dtype=float):.3g} sites, radius {radius}"
+    n_steps = 30 if len(shape) == 2 else 3
+    core = compiled(shape, radius)
+    one = ms_per_cycle(core, n_steps)
+    two = ms_per_cycle(compiled(shape, radius, threads=2), n_steps)
+    rows = [
+        Measurement(name, one, "ms", "per cycle, 1 thread"),
+        Measurement(name, two, "ms", f"per cycle, 2 threads: {one / two:.2f} times as fast"),
+        Measurement(name, core.work["bytes"] * 1e-6, "MB", "held by the core"),
+        Measurement(
+            name, floor_ms(core.work), "ms", "counted floor: random words at the generator's speed, densities once"
+        ),
+    ]
+    if shape == (DISCS[1][0],) * 2:
+        for isa in native.instruction_sets()[:-1]:
+            rows.append(
+                Measurement(name, ms_per_cycle(compiled(shape, radius, isa=isa), 10), "ms", f"per cycle, {isa}")
+            )
+    if close:
+        rows.append(Measurement(name, seconds_to_closure(compiled(shape, radius)), "s", "to closure, 1 thread"))
+    return rows
+
+
+def seconds_to_closure(core: Any) -> float:
+    """Seconds until no site is open."""
+    start = time.perf_counter()
+    while core.n_open:
+        core.advance(10, W, 1.0)
+    return time.perf_counter() - start
+
+
+def floor_ms(work: dict[str, int]) -> float:
+    """Least time of a step: its random words, four to a call where one word is enough, and its densities read and written."""
+    calls = work["edge_cells"] + (2 * work["layer_cells"] + work["shore_sites"]) / 4
+    return 1e3 * (calls * _seconds_per_call() + 4 * work["mixed_sites"] / _triad_bytes_per_second())
+
+
+def _seconds_per_call(n: int = 1 << 18) -> float:
+    """Seconds per call of the compiled generator, many at once."""
+    counter = np.zeros((n, 4), np.uint32)
+    counter[:, 0] = np.arange(n)
+    key = np.zeros(2, np.uint32)
+    return best_of(lambda: native.philox4x32(counter, key), 3) / n
+
+
+def _triad_bytes_per_second(n: int = 20_000_000) -> float:
+    """What the memory gives: a = b + c on arrays larger than the caches."""
+    a, b, c = np.empty(n), np.ones(n), np.ones(n)
+    return 3 * 8 * n / best_of(lambda: np.add(b, c, out=a), 5)
+
+
+def _ceilings() -> Iterator[Measurement]:
+    yield Measurement("memory, a = b + c", _triad_bytes_per_second() * 1e-9, "GB/s", "ceiling")
+    yield Measurement("random words", 4e-6 / _seconds_per_call(), "M/s", "ceiling; through NumPy arrays")
+
+
+def _peers() -> Iterator[Measurement]:
+    n, radius = DISCS[1]
+    one = ms_per_cycle(compiled((n, n), radius), 10)
+    twin = _twin_ms(n, radius)
+    yield Measurement(
+        "NumPy twin, 1.02e+07 sites", twin, "ms", f"per cycle: the core is {twin / one:.0f} times as fast"
+    )
+    dense = _dense_ms(n)
+    yield Measurement(
+        "dense stencil (XLA), same lattice", dense, "ms", "8 sub-steps of the diffusion alone, on every site"
+    )
+    mesa = _mesa_seconds(100, 30)
+    if mesa is None:
+        yield Measurement("Mesa", float("nan"), "s", "not installed: pip install mesa")
+        return
+    edge = _edge_only_seconds(100, 30)
+    note = f"edge division alone, 10 steps: the core (whole steps) is {mesa / edge:.0f} times as fast"
+    yield Measurement("Mesa, 1e+04 sites, radius 30", mesa, "s", note)
+
+
+def _twin_ms(n: int, radius: int) -> float:
+    lattice = Lattice((n, n), 0.01, (0.0, 0.0))
+    rows = packed_ball((n, n), radius).reshape(n, -1)
+    occupancy = np.unpackbits(rows, axis=1, count=n, bitorder="little").view(bool)
+    twin = TwinCore(lattice, np.ones((n, n), bool), occupancy, RULES, 1, 0)
+    start = time.perf_counter()
+    twin.advance(2, W, 1.0)
+    return 1e3 * (time.perf_counter() - start) / 2
+
+
+def _dense_ms(n: int) -> float:
+    """Sub-steps of the diffusion on the whole lattice, compiled by XLA; neighbours wrap around, which changes no cost."""
+    import jax
+    import jax.numpy as jnp
+
+    offsets = Lattice((1, 1), 1.0, (0.0, 0.0)).neighbours.tolist()
+
+    @jax.jit
+    def sub_steps(u: jax.Array) -> jax.Array:
+        for _ in range(RULES.motility_substeps):
+            around = sum(jnp.roll(u, (-i, -j), (0, 1)) for i, j in offsets)
+            u = (2 * u + around + 4) >> 3
+        return u
+
+    u = jnp.zeros((n, n), jnp.uint16)
+    sub_steps(u).block_until_ready()
+    return 1e3 * best_of(lambda: sub_steps(u).block_until_ready(), 3)
+
+
+def _edge_only_seconds(n: int, radius: int) -> float:
+    """Ten whole steps of the core at Mesa's size."""
+    core = compiled((n, n), radius)
+    start = time.perf_counter()
+    core.advance(10, W, 1.0)
+    return time.perf_counter() - start
+
+
+def _mesa_seconds(n: int, radius: int) -> float | None:
+    """Ten steps of edge division on Mesa's hexagonal grid: an agent is a cell, dividing into a free neighbour."""
+    try:
+        import mesa
+        from mesa.discrete_space import CellAgent, HexGrid
+    except ImportError:
+        return None
+
+    class Model(mesa.Model):
+        def __init__(self) -> None:
+            super().__init__(seed=1)
+            self.grid = HexGrid((n, n), capacity=1, random=self.random)
+            for cell in self.grid.all_cells:
+                x, y = cell.coordinate
+                if (x - n / 2) ** 2 + (y - n / 2) ** 2 >= radius**2:
+                    Tissue(self).cell = cell
+
+        def step(self) -> None:
+            self.agents.do("divide")
+
+    class Tissue(CellAgent):
+        def divide(self) -> None:
+            free = [cell for cell in self.cell.neighborhood.cells if cell.is_empty]
+            if free and self.random.random() < RULES.p_edge:
+                Tissue(self.model).cell = self.random.choice(free)
+
+    model = Model()
+    start = time.perf_counter()
+    for _ in range(10):
+        model.step()
+    return time.perf_counter() - start

@@ -1,0 +1,26 @@
+"""What a benchmark reports, and how it is timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import NamedTuple
+
+
+class Measurement(NamedTuple):
+    """One number of a benchmark: what, how much, in which unit, and a note such as "ceiling"."""
+
+    what: str
+    value: float
+    unit: str
+    note: str = ""
+
+
+def best_of(work: Callable[[], object], repeats: int = 5) -> float:
+    """Least seconds of some repeats: what else the machine does only adds."""
+    seconds = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        work()
+        seconds.append(time.perf_counter() - start)
+    return min(seconds)
