@@ -182,7 +182,7 @@ class Core final : public AutomatonCore {
 
     Counts step_within(int64_t reach, bool whole) {
         is_whole_ = whole;
-        band_.build(front_, reach, core_reach(), whole);
+        band_.build(front_, reach, core_reach(), whole, pool_);
         load();
         Counts counts;
         counts.edge = divide_at_edge();
@@ -204,11 +204,13 @@ class Core final : public AutomatonCore {
     void load() {
         const size_t n = band_.size();
         cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2);
-        for (size_t id = 0; id < n; ++id) {
-            const int64_t word = band_.word[id];
-            cells()[id] = occupied_[word], fill()[id] = fillable_[word];
-            free()[id] = fill()[id] & ~cells()[id];
-        }
+        ranges(n, [&](int, size_t first, size_t last) {
+            for (size_t id = first; id < last; ++id) {
+                const int64_t word = band_.word[id];
+                cells()[id] = occupied_[word], fill()[id] = fillable_[word];
+                free()[id] = fill()[id] & ~cells()[id];
+            }
+        });
     }
 
     uint32_t* cells() { return cells_.data() + 1; }
@@ -252,17 +254,29 @@ class Core final : public AutomatonCore {
         free()[site >> 5] &= ~(1u << (site & 31));
     }
 
+    // Share out 0 .. n - 1: job(piece number, first, last).
+    template <class Job>
+    void ranges(size_t n, Job&& job) {
+        const size_t most = pool_.threads() == 1 ? 1 : most_pieces();
+        const int used = static_cast<int>(std::max<size_t>(1, std::min(most, n / kBlocksPerPiece)));
+        pool_.each(used, [&](int i) { job(i, n * i / used, n * (i + 1) / used); });
+    }
+
     // Share out a list of blocks: job(piece number, ids).
     template <class Job>
     void pieces(const std::vector<int32_t>& ids, Job&& job) {
-        const size_t n = ids.size();
-        const int count = static_cast<int>(
-            std::max<size_t>(1, std::min<size_t>(4 * pool_.threads(), n / kBlocksPerPiece)));
-        const int used = pool_.threads() == 1 ? 1 : count;
-        pool_.each(used, [&](int i) {
-            const size_t first = n * i / used, last = n * (i + 1) / used;
-            job(i, Ids{ids.data() + first, last - first});
+        ranges(ids.size(), [&](int i, size_t first, size_t last) { job(i, Ids{ids.data() + first, last - first}); });
+    }
+
+    // What each piece finds among these blocks, one after the other: find(id, list).
+    template <class T, class Find>
+    void collect(const std::vector<int32_t>& ids, std::vector<T>& all, Find&& find) {
+        std::vector<std::vector<T>> parts(most_pieces());
+        pieces(ids, [&](int i, Ids some) {
+            for (size_t k = 0; k < some.count; ++k) find(some.first[k], parts[i]);
         });
+        all.clear();
+        for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
     }
 
     int most_pieces() const { return 4 * pool_.threads(); }
@@ -358,17 +372,19 @@ class Core final : public AutomatonCore {
     // Blocks around which every site can be filled need no weights of their own.
     void find_plain() {
         plain_.resize(band_.size());
-        bool all = true;
-        for (int32_t id : band_.core) {
-            uint32_t full = ~0u;
-            for (int k = 0; k < G::rows; ++k) {
-                const uint32_t* here = fill() + band_.beside(k, id);
-                full &= here[-1] & here[0] & here[1];
+        std::vector<uint8_t> all(most_pieces(), 1);
+        pieces(band_.core, [&](int i, Ids ids) {
+            for (size_t n = 0; n < ids.count; ++n) {
+                uint32_t full = ~0u;
+                for (int k = 0; k < G::rows; ++k) {
+                    const uint32_t* here = fill() + band_.beside(k, ids.first[n]);
+                    full &= here[-1] & here[0] & here[1];
+                }
+                plain_[ids.first[n]] = full == ~0u;
+                all[i] &= full == ~0u;
             }
-            plain_[id] = full == ~0u;
-            all &= full == ~0u;
-        }
-        if (all) return;
+        });
+        if (std::all_of(all.begin(), all.end(), [](uint8_t a) { return a != 0; })) return;
         own_.resize(kLanes * (band_.size() + 2));
         pieces(band_.core, [&](int, Ids ids) {
             by_.weigh(ids, band_.beside(), plain_.data(), fill(), own_.data() + kLanes);
@@ -466,13 +482,13 @@ class Core final : public AutomatonCore {
 
     void find_layer(int64_t hops) {
         find_zone(hops);
-        layer_.clear();
         layer_bits_.assign(band_.size() + 2, 0);
-        for (int32_t id : band_.active)
+        collect(band_.active, layer_, [&](int32_t id, std::vector<int32_t>& found) {
             if (const uint32_t bits = zone_[0][id + 1] & cells()[id]) {
-                layer_.push_back(id);
-                layer_bits_[id + 1] = bits;
+                found.push_back(id);
+                layer_bits()[id] = bits;
             }
+        });
     }
 
     uint32_t* layer_bits() { return layer_bits_.data() + 1; }
@@ -486,10 +502,12 @@ class Core final : public AutomatonCore {
         const uint64_t limit = limit_at(*W_, n_clamped, count_bits(layer_, layer_bits()));
         if (limit == 0) return parents;
         pieces(layer_, [&](int, Ids ids) { kernels_.draw(ids, random(kLayerDivision), layer_bits(), limit, scratch()); });
-        for (int32_t id : layer_)
-            for (uint32_t left = scratch()[id]; left; left &= left - 1)
-                parents.push_back(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
+        collect(layer_, parents, [&](int32_t id, std::vector<Site>& found) { add_sites(id, scratch()[id], found); });
         return parents;
+    }
+
+    static void add_sites(int32_t id, uint32_t bits, std::vector<Site>& sites) {
+        for (; bits; bits &= bits - 1) sites.push_back(static_cast<Site>(id) * kLanes + __builtin_ctz(bits));
     }
 
     std::vector<Site> divide_by_site(int64_t& n_clamped) {
@@ -516,10 +534,12 @@ class Core final : public AutomatonCore {
     void route(const std::vector<Site>& parents) {
         open_paths();
         relax_layer();
-        std::vector<Site> tokens;
-        for (Site site : parents)
-            if (distance()[site] < kFar) tokens.push_back(descend(site));
-        for (int32_t id : layer_) std::fill_n(distance() + kLanes * size_t(id), kLanes, kFar);
+        std::vector<Site> tokens(parents);
+        ranges(tokens.size(), [&](int, size_t first, size_t last) {
+            for (size_t i = first; i < last; ++i) tokens[i] = distance()[tokens[i]] < kFar ? descend(tokens[i]) : kNowhere;
+        });
+        tokens.erase(std::remove(tokens.begin(), tokens.end(), kNowhere), tokens.end());
+        pieces(layer_, [&](int, Ids ids) { clear(ids, distance()); });
         for (tokens = land(tokens); !tokens.empty(); tokens = land(tokens)) tokens = walk(tokens);
     }
 
@@ -530,17 +550,17 @@ class Core final : public AutomatonCore {
     void open_paths() {
         const size_t n = kLanes * (band_.size() + 2);
         cost_.resize(n), distance_.resize(n), stamp_.resize(n, 0);
-        ready_.assign(band_.size() + 2, 0);
-        for (int32_t id : layer_) prepare_around(id);
+        ranges(band_.size(), [&](int, size_t first, size_t last) {
+            std::fill(cost() + kLanes * first, cost() + kLanes * last, kFar);
+            std::fill(distance() + kLanes * first, distance() + kLanes * last, kFar);
+        });
         pieces(layer_, [&](int, Ids ids) {
             kernels_.random_values(ids, random(kPathCost), layer_bits(), kHopCost, rules_.path_noise + 1, cost());
         });
-        shore_.clear();
-        for (int32_t id : band_.active)
-            if (free()[id] && ready_[id + 1]) shore_.push_back(id);
-        pieces(shore_, [&](int, Ids ids) { by_.touching(ids, band_.beside(), free(), layer_bits(), scratch()); });
-        shore_.erase(std::remove_if(shore_.begin(), shore_.end(), [this](int32_t id) { return !scratch()[id]; }),
-                     shore_.end());
+        pieces(band_.active, [&](int, Ids ids) { by_.touching(ids, band_.beside(), free(), layer_bits(), scratch()); });
+        collect(band_.active, shore_, [&](int32_t id, std::vector<int32_t>& found) {
+            if (scratch()[id]) found.push_back(id);
+        });
         work_.shore_sites = count_bits(shore_, scratch());
         pieces(shore_, [&](int, Ids ids) {
             kernels_.random_values(ids, random(kSettle), free(), kNoPath, kUnit, cost());
@@ -548,25 +568,12 @@ class Core final : public AutomatonCore {
         });
     }
 
+    static void clear(Ids ids, uint16_t* values) {
+        for (size_t i = 0; i < ids.count; ++i) std::fill_n(values + kLanes * size_t(ids.first[i]), kLanes, kFar);
+    }
+
+    static constexpr Site kNowhere = ~Site{0};
     static constexpr uint16_t kUnit = kSettleCost / G::directions;
-
-    // Blocks have no paths until something looks at them.
-    void prepare_around(int32_t id) {
-        for (int k = 0; k < G::rows; ++k)
-            for (int32_t other = band_.beside(k, id) - 1, last = other + 2; other <= last; ++other) {
-                if (ready_[other + 1]) continue;
-                ready_[other + 1] = 1;
-                std::fill_n(cost() + kLanes * size_t(other), kLanes, kFar);
-                std::fill_n(distance() + kLanes * size_t(other), kLanes, kFar);
-            }
-        ready_[id + 1] = 2;
-    }
-
-    Around paths_around(Site site) {
-        const Around all = around(site);
-        if (const int32_t id = site >> 5; ready_[id + 1] != 2) prepare_around(id);
-        return all;
-    }
 
     // The fewer cells beside an empty site, the dearer it is to settle there.
     void price(Site site) {
@@ -618,7 +625,7 @@ class Core final : public AutomatonCore {
     // Walk to the neighbour of least distance, the first among equals, until the site is free.
     Site descend(Site site) {
         while (!has(free(), site)) {
-            const Around others = paths_around(site);
+            const Around others = around(site);
             Site best = others.site[0];
             for (Site other : others)
                 if (distance()[other] < distance()[best]) best = other;
@@ -637,7 +644,6 @@ class Core final : public AutomatonCore {
                 continue;
             }
             const Site site = tokens[i];
-            paths_around(site);
             settle_at(site);
             cost()[site] = static_cast<uint16_t>(kHopCost + below(word_at(site, kPathCost), rules_.path_noise + 1));
             distance()[site] = kFar;
@@ -677,7 +683,7 @@ class Core final : public AutomatonCore {
         for (int64_t hop = 1; hop < reach && ring < near_.size(); ++hop) {
             const size_t last = near_.size();
             for (; ring < last; ++ring) {
-                for (Site other : paths_around(near_[ring]))
+                for (Site other : around(near_[ring]))
                     if (cost()[other] < kNoPath) add(other);
             }
         }
@@ -686,7 +692,7 @@ class Core final : public AutomatonCore {
 
     void solve_near() {
         for (Site site : near_)
-            for (Site other : paths_around(site))
+            for (Site other : around(site))
                 if (has(free(), other)) price(other);
         for (bool changed = true; changed;) {
             changed = false;
@@ -865,24 +871,26 @@ class Core final : public AutomatonCore {
     // ---------------------------------------------------------------- the end of a step
 
     void write_back(const Counts& counts) {
-        int64_t before = 0, misplaced = 0;
-        for (int32_t id : band_.active) {
-            const uint32_t old = occupied_[band_.word[id]];
-            before += popcount(old);
-            misplaced |= cells()[id] & ~fill()[id];
-        }
+        std::vector<int64_t> before(most_pieces(), 0), misplaced(most_pieces(), 0);
+        pieces(band_.active, [&](int i, Ids ids) {
+            for (size_t k = 0; k < ids.count; ++k) {
+                const int32_t id = ids.first[k];
+                before[i] += popcount(occupied_[band_.word[id]]);
+                misplaced[i] |= cells()[id] & ~fill()[id];
+            }
+        });
         // blocks that are not active are not looked at again, so nothing may change right beside them
         for (int32_t id : band_.outer) require_inside(id, cells()[id] ^ occupied_[band_.word[id]]);
-        const int64_t gained = n_occupied() - before;
-        if (gained != counts.edge + counts.layer || counts.dropped < 0 || misplaced)
+        const int64_t gained = n_occupied() - std::accumulate(before.begin(), before.end(), int64_t{0});
+        const bool is_misplaced = std::any_of(misplaced.begin(), misplaced.end(), [](int64_t m) { return m != 0; });
+        if (gained != counts.edge + counts.layer || counts.dropped < 0 || is_misplaced)
             throw InvariantFault("cells were lost or doubled: " + std::to_string(gained) + " more after " +
                                  std::to_string(counts.edge + counts.layer) + " divisions");
         pieces(band_.active, [&](int, Ids ids) { by_.border(ids, band_.beside(), free(), scratch()); });
-        front_.clear();
-        for (int32_t id : band_.active) {
+        collect(band_.active, front_, [&](int32_t id, std::vector<Front>& found) {
             occupied_[band_.word[id]] = cells()[id];
-            note_front(band_.word[id], scratch()[id], front_);
-        }
+            note_front(band_.word[id], scratch()[id], found);
+        });
         n_cells_ += gained;
     }
 
@@ -905,7 +913,7 @@ class Core final : public AutomatonCore {
     double W_ref_ = 1.0;
     std::vector<uint32_t> cells_, fill_, free_, zone_[2], layer_bits_, scratch_, above_, equal_;
     std::vector<uint16_t> density_[2], own_, cost_, distance_;
-    std::vector<uint8_t> plain_, ready_, dirty_;
+    std::vector<uint8_t> plain_, dirty_;
     std::vector<uint32_t> stamp_;
     uint32_t generation_ = 0;
     std::vector<int32_t> layer_, shore_, mixed_;

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "kernels.hpp"
+#include "pool.hpp"
 
 namespace cicatrix {
 
@@ -137,7 +138,7 @@ class Band {
         : rows_(rows), near_(rows), core_(rows), stored_(rows), rim_(rows), outside_(rows), beyond_(rows), first_run_(rows.count() + 1) {}
 
     // Blocks within `reach` hops of the front become active, those within `inner` make the core; all blocks if `whole`.
-    void build(const std::vector<Front>& front, int64_t reach, int64_t inner, bool whole) {
+    void build(const std::vector<Front>& front, int64_t reach, int64_t inner, bool whole, Pool& pool) {
         int64_t low = 1, high = rows_.outer - 1;  // range of the first axis
         if (!whole) {
             low = rows_.outer, high = 0;
@@ -160,7 +161,7 @@ class Band {
         rim_.surround(core_, from, to);
         outside_.complement(near_, from, to);
         beyond_.surround(outside_, from, to);
-        enumerate(from * rows_.inner, to * rows_.inner);
+        enumerate(from * rows_.inner, to * rows_.inner, pool);
     }
 
     int32_t size() const { return static_cast<int32_t>(word.size()); }
@@ -200,7 +201,7 @@ class Band {
         set.drop_frame(from, to);
     }
 
-    void enumerate(int64_t first, int64_t last) {
+    void enumerate(int64_t first, int64_t last, Pool& pool) {
         runs_.clear();
         int32_t n = 0;
         for (int64_t r = first; r < last; ++r) {
@@ -209,17 +210,36 @@ class Band {
         }
         first_run_[last] = static_cast<int32_t>(runs_.size());
         word.resize(n), first_site.resize(n), is_active.resize(n), is_frame.resize(n), is_core_or_rim.resize(n);
-        active.clear(), core.clear(), rim.clear(), outer.clear();
         for (int k = 1; k < Geometry<D>::rows; ++k) {
             rows_beside_[k].resize(n);
             beside_[k] = rows_beside_[k].data();
         }
-        for (int64_t r = first; r < last; ++r) {
-            for (int32_t i = first_run_[r]; i < first_run_[r + 1]; ++i) describe(r, runs_[i]);
-            for (int k = 1; k < Geometry<D>::rows; ++k) {
-                const int64_t other = r + rows_.stride(k);
-                if (other >= first && other < last) join(r, other, rows_beside_[k]);
-            }
+        const int parts = pool.threads() == 1 || last - first < kRowsPerPart ? 1 : 4 * pool.threads();
+        std::vector<Lists> lists(parts);
+        pool.each(parts, [&](int i) {
+            const int64_t from = first + (last - first) * i / parts, to = first + (last - first) * (i + 1) / parts;
+            for (int64_t r = from; r < to; ++r) describe_row(r, first, last, lists[i]);
+        });
+        active.clear(), core.clear(), rim.clear(), outer.clear();
+        for (const Lists& some : lists) {
+            active.insert(active.end(), some.active.begin(), some.active.end());
+            core.insert(core.end(), some.core.begin(), some.core.end());
+            rim.insert(rim.end(), some.rim.begin(), some.rim.end());
+            outer.insert(outer.end(), some.outer.begin(), some.outer.end());
+        }
+    }
+
+    static constexpr int64_t kRowsPerPart = 64;
+
+    struct Lists {
+        std::vector<int32_t> active, core, rim, outer;
+    };
+
+    void describe_row(int64_t r, int64_t first, int64_t last, Lists& lists) {
+        for (int32_t i = first_run_[r]; i < first_run_[r + 1]; ++i) describe(r, runs_[i], lists);
+        for (int k = 1; k < Geometry<D>::rows; ++k) {
+            const int64_t other = r + rows_.stride(k);
+            if (other >= first && other < last) join(r, other, rows_beside_[k]);
         }
     }
 
@@ -246,22 +266,23 @@ class Band {
         return n;
     }
 
-    void describe(int64_t r, const Run& run) {
+    void describe(int64_t r, const Run& run, Lists& lists) {
         const bool row_on_frame = rows_.on_frame(r);
         const int64_t row_word = r * rows_.blocks, row_site = rows_.first_site(r) - kLanes;
+        const uint64_t *near = near_.row(r), *core_bits = core_.row(r), *rim_bits = rim_.row(r), *beyond = beyond_.row(r);
         int32_t id = run.id;
         for (int64_t b = run.first; b <= run.last; ++b, ++id) {
+            const auto in = [b](const uint64_t* bits) { return static_cast<uint8_t>(bits[b >> 6] >> (b & 63) & 1); };
             word[id] = row_word + b;
             first_site[id] = row_site + b * kLanes;
             is_frame[id] = row_on_frame || b == 0 || b == rows_.blocks - 1;
-            is_active[id] = near_.has(r, b);
-            const bool is_core = core_.has(r, b);
-            is_core_or_rim[id] = rim_.has(r, b);
-            if (is_core_or_rim[id] && !is_core) rim.push_back(id);
-            if (!is_active[id]) continue;
-            active.push_back(id);
-            if (is_core) core.push_back(id);
-            if (beyond_.has(r, b)) outer.push_back(id);
+            is_active[id] = in(near);
+            is_core_or_rim[id] = in(rim_bits);
+            if (in(rim_bits) && !in(core_bits)) lists.rim.push_back(id);
+            if (!in(near)) continue;
+            lists.active.push_back(id);
+            if (in(core_bits)) lists.core.push_back(id);
+            if (in(beyond)) lists.outer.push_back(id);
         }
     }
 
