@@ -197,8 +197,8 @@ def _edge_only_seconds(n: int, radius: int) -> float:
 def _mesa_seconds(n: int, radius: int) -> float | None:
     """Ten steps of edge division on Mesa's hexagonal grid: an agent is a cell, dividing into a free neighbour."""
     try:
-        import mesa
-        from mesa.discrete_space import CellAgent, HexGrid
+        import mesa  # pyright: ignore[reportMissingImports]
+        from mesa.discrete_space import CellAgent, HexGrid  # pyright: ignore[reportMissingImports]
     except ImportError:
         return None
 
