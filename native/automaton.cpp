@@ -5,6 +5,7 @@
 #include <cstring>
 #include <numeric>
 #include <string>
+#include <tuple>
 
 #include "band.hpp"
 #include "kernels.hpp"
@@ -17,8 +18,8 @@ namespace {
 enum Phase : uint32_t { kEdgeDivision, kMotilityTie, kLayerDivision, kPathCost, kRedistributionTie, kSettle };
 
 constexpr uint32_t kHopCost = 64, kSettleCost = 48;
-constexpr size_t kBlocksPerPiece = 1024;  // less is not worth a thread's while
-constexpr size_t kBlocksPerWave = 64;     // some of them fit into the first cache, with all their sub-steps
+constexpr size_t kTilesPerPiece = 1024;  // less is not worth a thread's while
+constexpr size_t kTilesPerWave = 64;     // some of them fit into the first cache, with all their sub-steps
 
 // The band was too narrow for the step to be exact: the step is done again in a wider one.
 struct TooNarrow {};
@@ -71,7 +72,7 @@ class Core final : public AutomatonCore {
     Core(const std::vector<int64_t>& shape, const uint8_t* fillable, const uint8_t* occupied, const Rules& rules,
          int64_t step, int threads, const Kernels& kernels)
         : rows_(shape), rules_(rules), key_{static_cast<uint32_t>(rules.seed), static_cast<uint32_t>(rules.seed >> 32)},
-          kernels_(kernels), by_(kernels.dimension[D - 2]), pool_(threads), fillable_(rows_.count() * rows_.blocks),
+          kernels_(kernels), by_(kernels.dimension[D - 2]), pool_(threads), fillable_(rows_.count() * rows_.tiles),
           occupied_(fillable_.size()), band_(rows_), step_(step) {
         read(fillable, fillable_);
         read(occupied, occupied_);
@@ -103,10 +104,10 @@ class Core final : public AutomatonCore {
     }
 
     void occupancy(uint8_t* out) const override {
-        const int64_t bytes = (rows_.width + 7) / 8;
-        for (int64_t n = 0; n < rows_.n_inner_rows(); ++n) {
-            const uint32_t* row = occupied_.data() + rows_.framed(n) * rows_.blocks + 1;
-            for (int64_t i = 0; i < bytes; ++i) *out++ = static_cast<uint8_t>(row[i / 4] >> 8 * (i % 4));
+        for (int64_t n = 0; n < rows_.n_lines(); ++n) {
+            const uint32_t* row = occupied_.data() + rows_.row_of_line(n) * rows_.tiles;
+            for (int64_t tile = 1; tile < rows_.tiles - 1; ++tile)
+                *out++ = static_cast<uint8_t>(row[tile] >> kPlaces * rows_.line_of_tile(n));
         }
     }
 
@@ -115,7 +116,7 @@ class Core final : public AutomatonCore {
     int64_t step() const override { return step_; }
     Work work() const override {
         Work work = work_;
-        work.stored_blocks = band_.size(), work.active_blocks = static_cast<int64_t>(band_.active.size());
+        work.stored_tiles = band_.size(), work.active_tiles = static_cast<int64_t>(band_.active.size());
         work.bytes = band_.bytes();
         for (const auto* v : {&fillable_, &occupied_, &cells_, &fill_, &free_, &zone_[0], &zone_[1], &layer_bits_,
                               &scratch_, &above_, &equal_, &stamp_})
@@ -128,11 +129,11 @@ class Core final : public AutomatonCore {
    private:
     // ---------------------------------------------------------------- the lattice
 
+    // A byte of a line of sites is a line of a tile.
     void read(const uint8_t* in, std::vector<uint32_t>& bits) const {
-        const int64_t bytes = (rows_.width + 7) / 8;
-        for (int64_t n = 0; n < rows_.n_inner_rows(); ++n) {
-            uint32_t* row = bits.data() + rows_.framed(n) * rows_.blocks + 1;
-            for (int64_t i = 0; i < bytes; ++i) row[i / 4] |= uint32_t{*in++} << 8 * (i % 4);
+        for (int64_t n = 0; n < rows_.n_lines(); ++n) {
+            uint32_t* row = bits.data() + rows_.row_of_line(n) * rows_.tiles;
+            for (int64_t tile = 1; tile < rows_.tiles - 1; ++tile) row[tile] |= uint32_t{*in++} << kPlaces * rows_.line_of_tile(n);
         }
     }
 
@@ -145,37 +146,29 @@ class Core final : public AutomatonCore {
 
     int64_t core_reach() const { return (rules_.level_set ? 2 : 1) * rules_.substeps + 1; }
 
-    int64_t longest() const { return *std::max_element(rows_.shape.begin(), rows_.shape.begin() + D); }
+    int64_t longest() const { return std::max({rows_.across[0], rows_.across[1], rows_.width}); }
 
     uint32_t free_word(int64_t word) const { return fillable_[word] & ~occupied_[word]; }
 
-    // Bit j is the neighbour of lane j in a direction; at(i) is the word i blocks to the right.
-    template <class At>
-    static uint32_t seen(At&& at, int lane) {
-        if (lane == 0) return at(0);
-        return lane > 0 ? (at(0) >> 1) | (at(1) << 31) : (at(0) << 1) | (at(-1) >> 31);
-    }
-
-    // Free sites with a neighbour that is not free, over the whole lattice.
+    // Tiles with a free site that do not lie in the midst of free ones: a few too many, for the first step only.
     void find_front() {
         front_.clear();
-        for (int64_t n = 0; n < rows_.n_inner_rows(); ++n) {
-            const int64_t first = rows_.framed(n) * rows_.blocks;
-            for (int64_t word = first + 1; word < first + rows_.blocks - 1; ++word) {
-                uint32_t edge = free_word(word);
-                if (!edge) continue;
+        for (int64_t row = 0; row < rows_.count(); ++row) {
+            if (rows_.on_frame(row)) continue;
+            for (int64_t word = row * rows_.tiles + 1; word < (row + 1) * rows_.tiles - 1; ++word) {
+                if (!free_word(word)) continue;
                 uint32_t all = ~0u;
-                for (const Direction& d : G::neighbour) {
-                    const int64_t beside = word + rows_.stride(d.row) * rows_.blocks;
-                    all &= seen([&](int i) { return free_word(beside + i); }, d.lane);
-                }
-                note_front(word, edge & ~all, front_);
+                for (int k = 0; k < G::rows; ++k)
+                    for (int right = -1; right <= 1; ++right) all &= free_word(word + rows_.stride(k) * rows_.tiles + right);
+                if (~all) front_.push_back({word, 0, kPlaces - 1});
             }
         }
     }
 
     static void note_front(int64_t word, uint32_t edge, std::vector<Front>& front) {
-        if (edge) front.push_back({word, __builtin_ctz(edge), 31 - __builtin_clz(edge)});
+        if (!edge) return;
+        const uint32_t places = (edge | edge >> 8 | edge >> 16 | edge >> 24) & 0xFF;
+        front.push_back({word, __builtin_ctz(places), 31 - __builtin_clz(places)});
     }
 
     // ---------------------------------------------------------------- one step
@@ -200,7 +193,7 @@ class Core final : public AutomatonCore {
         return counts;
     }
 
-    // Sites of the band, in blocks: cells, sites that can be filled, free sites.
+    // Sites of the band, in tiles: cells, sites that can be filled, free sites.
     void load() {
         const size_t n = band_.size();
         cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2);
@@ -224,10 +217,13 @@ class Core final : public AutomatonCore {
     }
 
     Draw random(Phase phase) const {
-        return {band_.first_site.data(), static_cast<uint32_t>(step_), phase, {key_[0], key_[1]}};
+        return {band_.first_site.data(), {lines_[0], lines_[1], lines_[2], lines_[3]}, static_cast<uint32_t>(step_), phase,
+                {key_[0], key_[1]}};
     }
 
-    uint64_t number(Site site) const { return band_.first_site[site >> 5] + (site & 31); }
+    uint64_t number(Site site) const {
+        return band_.first_site[site >> 5] + lines_[(site & 31) / kPlaces] + site % kPlaces;
+    }
 
     // All neighbours of a site, in the order of the specification.
     struct Around {
@@ -237,14 +233,45 @@ class Core final : public AutomatonCore {
     };
 
     Around around(Site site) const {
-        const int32_t id = site >> 5, lane = site & 31;
+        const int32_t id = site >> 5;
         if (!band_.is_active[id]) throw TooNarrow();
-        int32_t row[G::rows];
-        for (int k = 0; k < G::rows; ++k) row[k] = band_.beside(k, id) * kLanes + lane;
+        int32_t tile[G::rows];
+        for (int k = 0; k < G::rows; ++k) tile[k] = band_.beside(k, id);
         Around out;
-        for (int k = 0; k < G::directions; ++k)
-            out.site[k] = static_cast<Site>(row[G::neighbour[k].row] + G::neighbour[k].lane);
+        for (int k = 0; k < G::directions; ++k) {
+            const Move& move = moves_[site & 31][k];
+            out.site[k] = static_cast<Site>((tile[move.row] + move.right) * kLanes + move.lane);
+        }
         return out;
+    }
+
+    // Where a direction leads from a lane: row offset, tiles to the right, lane there.
+    struct Move {
+        int8_t row, right, lane;
+    };
+
+    using Moves = std::array<std::array<Move, G::directions>, kLanes>;
+
+    static Moves all_moves() {
+        auto split = [](int x, int size, int& tile) {
+            tile = x < 0 ? -1 : x >= size ? 1 : 0;
+            return x - tile * size;
+        };
+        Moves moves{};
+        for (int lane = 0; lane < kLanes; ++lane)
+            for (int k = 0; k < G::directions; ++k) {
+                const Direction& d = G::neighbour[k];
+                const int line = lane / kPlaces;
+                int tile_first, tile_second, right;
+                const int i = split(line / G::depth + d.first, G::height, tile_first);
+                const int j = split(line % G::depth + d.second, G::depth, tile_second);
+                const int place = split(lane % kPlaces + d.last, kPlaces, right);
+                int row = 0;
+                while (G::row[row][0] != tile_first || G::row[row][1] != tile_second) ++row;
+                const int there = (i * G::depth + j) * kPlaces + place;
+                moves[lane][k] = {static_cast<int8_t>(row), static_cast<int8_t>(right), static_cast<int8_t>(there)};
+            }
+        return moves;
     }
 
     static bool has(const uint32_t* bits, Site site) { return bits[site >> 5] >> (site & 31) & 1; }
@@ -258,17 +285,17 @@ class Core final : public AutomatonCore {
     template <class Job>
     void ranges(size_t n, Job&& job) {
         const size_t most = pool_.threads() == 1 ? 1 : most_pieces();
-        const int used = static_cast<int>(std::max<size_t>(1, std::min(most, n / kBlocksPerPiece)));
+        const int used = static_cast<int>(std::max<size_t>(1, std::min(most, n / kTilesPerPiece)));
         pool_.each(used, [&](int i) { job(i, n * i / used, n * (i + 1) / used); });
     }
 
-    // Share out a list of blocks: job(piece number, ids).
+    // Share out a list of tiles: job(piece number, ids).
     template <class Job>
     void pieces(const std::vector<int32_t>& ids, Job&& job) {
         ranges(ids.size(), [&](int i, size_t first, size_t last) { job(i, Ids{ids.data() + first, last - first}); });
     }
 
-    // What each piece finds among these blocks, one after the other: find(id, list).
+    // What each piece finds among these tiles, one after the other: find(id, list).
     template <class T, class Find>
     void collect(const std::vector<int32_t>& ids, std::vector<T>& all, Find&& find) {
         std::vector<std::vector<T>> parts(most_pieces());
@@ -360,7 +387,7 @@ class Core final : public AutomatonCore {
     // All sub-steps while the planes they need are in the cache: plane p does sub-step i when plane p + 1 has done i - 1.
     template <class SubStep>
     void in_waves(SubStep&& sub_step) {
-        const std::vector<size_t> cuts = slabs(band_.core, kBlocksPerWave);
+        const std::vector<size_t> cuts = slabs(band_.core, kTilesPerWave);
         const int64_t n = static_cast<int64_t>(cuts.size()) - 1;
         for (int64_t wave = 0; wave < n + rules_.substeps - 1; ++wave)
             for (int64_t i = std::max<int64_t>(0, wave - n + 1); i <= std::min(wave, rules_.substeps - 1); ++i) {
@@ -441,15 +468,18 @@ class Core final : public AutomatonCore {
 
     void add_word(Site site) { words_.add(site, number(site)); }
 
-    // The `wanted` sites in words_ with the least (word, number); ids rise with the number.
+    // The `wanted` sites in words_ with the least (word, number).
     std::vector<Site> first_of(Phase phase, int64_t wanted) {
-        std::vector<std::pair<uint32_t, Site>> order(words_.size());
-        if (wanted < static_cast<int64_t>(order.size())) words_.draw(kernels_, step_, phase, key_);
-        const bool is_all = wanted >= static_cast<int64_t>(order.size());
-        for (size_t i = 0; i < order.size(); ++i) order[i] = {is_all ? 0 : words_.word(i), words_.site(i)};
-        if (!is_all) std::nth_element(order.begin(), order.begin() + wanted, order.end());
         std::vector<Site> first;
-        for (int64_t i = 0; i < std::min<int64_t>(wanted, order.size()); ++i) first.push_back(order[i].second);
+        if (wanted >= static_cast<int64_t>(words_.size())) {
+            for (size_t i = 0; i < words_.size(); ++i) first.push_back(words_.site(i));
+            return first;
+        }
+        words_.draw(kernels_, step_, phase, key_);
+        std::vector<std::tuple<uint32_t, uint64_t, Site>> order(words_.size());
+        for (size_t i = 0; i < order.size(); ++i) order[i] = {words_.word(i), number(words_.site(i)), words_.site(i)};
+        std::nth_element(order.begin(), order.begin() + wanted, order.end());
+        for (int64_t i = 0; i < wanted; ++i) first.push_back(std::get<2>(order[i]));
         return first;
     }
 
@@ -464,18 +494,15 @@ class Core final : public AutomatonCore {
             });
             std::swap(zone_[0], zone_[1]);
         }
-        for (int32_t id : band_.outer)  // what would spread from here to blocks that are not active
+        for (int32_t id : band_.outer)  // what would spread from here to tiles that are not active
             require_inside(id, zone_[0][id + 1] & ~free()[id]);
     }
 
-    // All neighbours of these sites of a block lie in active blocks, or beyond the lattice.
+    // All neighbours of these sites of a tile lie in active tiles, or beyond the lattice.
     void require_inside(int32_t id, uint32_t sites) const {
-        if (!sites) return;
-        for (const Direction& d : G::neighbour) {
-            const int32_t other = band_.beside(d.row, id);
-            const bool left = d.lane < 0 && (sites & 1u), right = d.lane > 0 && sites >> 31;
-            if (leads_out(other) || (left && leads_out(other - 1)) || (right && leads_out(other + 1))) throw TooNarrow();
-        }
+        for (; sites; sites &= sites - 1)
+            for (const Move& move : moves_[__builtin_ctz(sites)])
+                if (leads_out(band_.beside(move.row, id) + move.right)) throw TooNarrow();
     }
 
     bool leads_out(int32_t id) const { return !band_.is_active[id] && !band_.is_frame[id]; }
@@ -596,7 +623,7 @@ class Core final : public AutomatonCore {
     void relax_layer() {
         dirty_.assign(band_.size() + 2, 0);
         for (int32_t id : layer_) dirty_[id + 1] = 1;
-        const size_t size = std::max<size_t>(layer_.size() / (4 * pool_.threads()), kBlocksPerPiece);
+        const size_t size = std::max<size_t>(layer_.size() / (4 * pool_.threads()), kTilesPerPiece);
         const std::vector<size_t> cuts = slabs(layer_, pool_.threads() == 1 ? layer_.size() : size);
         const int n = static_cast<int>(cuts.size()) - 1;
         for (bool changed = true; changed;) {
@@ -611,7 +638,7 @@ class Core final : public AutomatonCore {
         }
     }
 
-    // Cut a list of blocks between planes of the first axis, into parts of at least `size` blocks.
+    // Cut a list of tiles between planes of the first axis, into parts of at least `size` tiles.
     std::vector<size_t> slabs(const std::vector<int32_t>& ids, size_t size) const {
         std::vector<size_t> cuts{0};
         for (size_t i = 1; i < ids.size(); ++i)
@@ -620,7 +647,7 @@ class Core final : public AutomatonCore {
         return cuts;
     }
 
-    int64_t plane(int32_t id) const { return band_.word[id] / rows_.blocks / rows_.inner; }
+    int64_t plane(int32_t id) const { return band_.word[id] / rows_.tiles / rows_.inner; }
 
     // Walk to the neighbour of least distance, the first among equals, until the site is free.
     Site descend(Site site) {
@@ -716,9 +743,8 @@ class Core final : public AutomatonCore {
         find_pieces();
         for (Site site : parents) ++wounds_[run_at(site).wound].n_new;
         const uint16_t* u = diffuse();
-        each_run([&](const Run& run) {
+        for (const Run& run : runs_)
             if (Wound& wound = wounds_[run.wound]; wound.n_new) tally(run, u, wound);
-        });
         for (Wound& wound : wounds_) {
             if (!wound.n_new) continue;
             const int64_t wanted = std::min(wound.n_cells + wound.n_new, wound.n_sites);
@@ -729,9 +755,8 @@ class Core final : public AutomatonCore {
                 throw TooNarrow();
             }
         }
-        each_run([&](const Run& run) {
+        for (const Run& run : runs_)
             if (Wound& wound = wounds_[run.wound]; wound.n_new) keep_above(run, u, wound);
-        });
         for (Wound& wound : wounds_) {
             words_.clear();
             for (Site site : wound.ties) add_word(site);
@@ -739,9 +764,9 @@ class Core final : public AutomatonCore {
         }
     }
 
-    // Neighbouring sites of one row, lanes first .. last - 1, that belong to a piece.
+    // Neighbouring sites of one line, first .. last - 1, that belong to a piece.
     struct Run {
-        int64_t row, first, last;
+        int64_t line, first, last;
         int32_t wound;
     };
 
@@ -752,37 +777,32 @@ class Core final : public AutomatonCore {
         std::vector<Site> ties;
     };
 
-    // Every row with a free site has active blocks: the ends of a free stretch are the front.
+    // Tiles outside the band hold free sites only, or none.
     void find_pieces() {
-        runs_.clear(), first_run_.assign(rows_.count() + 1, 0);
-        size_t next = 0;
-        for (int64_t row = 0; row < rows_.count(); ++row) {
-            first_run_[row] = static_cast<int32_t>(runs_.size());
-            if (next < band_.active.size() && row_of(band_.active[next]) == row) add_runs(row, next);
+        slot_.assign(occupied_.size(), -1);
+        for (int32_t id : band_.active) slot_[band_.word[id]] = id;
+        runs_.clear(), first_run_.clear();
+        for (int64_t line = 0; line < rows_.n_lines(); ++line) {
+            first_run_.push_back(static_cast<int32_t>(runs_.size()));
+            add_runs(line);
         }
-        first_run_[rows_.count()] = static_cast<int32_t>(runs_.size());
+        first_run_.push_back(static_cast<int32_t>(runs_.size()));
         join_runs();
     }
 
-    int64_t row_of(int32_t id) const { return band_.word[id] / rows_.blocks; }
-
-    // Blocks outside the band hold free sites only, or none.
-    void add_runs(int64_t row, size_t& next) {
-        for (int64_t block = 1; block < rows_.blocks - 1; ++block) {
-            const int64_t word = row * rows_.blocks + block;
-            uint32_t bits = free_word(word);
-            if (next < band_.active.size() && band_.word[band_.active[next]] == word) {
-                const int32_t id = band_.active[next++];
-                bits = zone_[0][id + 1] & fill()[id];
-            }
-            const int64_t lane0 = (block - 1) * kLanes;
-            for (int lane = 0; lane < kLanes; ++lane) {
-                if (!(bits >> lane & 1)) continue;
-                const bool goes_on = static_cast<int32_t>(runs_.size()) > first_run_[row] && runs_.back().last == lane0 + lane;
+    void add_runs(int64_t line) {
+        for (int64_t tile = 1; tile < rows_.tiles - 1; ++tile) {
+            const int64_t word = rows_.row_of_line(line) * rows_.tiles + tile;
+            const int32_t id = slot_[word];
+            const uint32_t bits = id < 0 ? free_word(word) : zone_[0][id + 1] & fill()[id];
+            uint32_t places = bits >> kPlaces * rows_.line_of_tile(line) & 0xFF;
+            for (; places; places &= places - 1) {
+                const int64_t at = (tile - 1) * kPlaces + __builtin_ctz(places);
+                const bool goes_on = static_cast<int32_t>(runs_.size()) > first_run_[line] && runs_.back().last == at;
                 if (goes_on)
                     ++runs_.back().last;
                 else
-                    runs_.push_back({row, lane0 + lane, lane0 + lane + 1, 0});
+                    runs_.push_back({line, at, at + 1, 0});
             }
         }
     }
@@ -796,10 +816,11 @@ class Core final : public AutomatonCore {
         };
         for (size_t i = 0; i < runs_.size(); ++i)
             for (const Direction& d : G::neighbour) {
-                const int64_t other = runs_[i].row + rows_.stride(d.row);
-                if (rows_.stride(d.row) >= 0) continue;
+                const int64_t line = runs_[i].line, second = line % rows_.across[1] + d.second;
+                const int64_t other = line + d.first * rows_.across[1] + d.second;
+                if (other < 0 || other >= line || second < 0 || second >= rows_.across[1]) continue;
                 for (int32_t j = first_run_[other]; j < first_run_[other + 1]; ++j)
-                    if (runs_[j].first < runs_[i].last + d.lane && runs_[j].last > runs_[i].first + d.lane)
+                    if (runs_[j].first < runs_[i].last + d.last && runs_[j].last > runs_[i].first + d.last)
                         parent[root(static_cast<int32_t>(i))] = root(j);
             }
         wounds_.clear();
@@ -813,53 +834,42 @@ class Core final : public AutomatonCore {
     }
 
     const Run& run_at(Site site) const {
-        const int64_t word = band_.word[site >> 5], row = word / rows_.blocks;
-        const int64_t lane = (word % rows_.blocks - 1) * kLanes + (site & 31);
-        const auto end = runs_.begin() + first_run_[row + 1];
-        return *std::find_if(runs_.begin() + first_run_[row], end, [lane](const Run& run) { return lane < run.last; });
+        const int64_t line = number(site) / rows_.width, at = number(site) % rows_.width;
+        const auto end = runs_.begin() + first_run_[line + 1];
+        return *std::find_if(runs_.begin() + first_run_[line], end, [at](const Run& run) { return at < run.last; });
     }
 
-    // Call job(run) for every run, with the ids of the active blocks of its row in id_in_row_ (-1: not active).
+    // Call job(site) for every site of a run that lies in an active tile; returns how many do not.
     template <class Job>
-    void each_run(Job&& job) {
-        size_t next = 0;
-        int64_t ready = -1;
-        for (const Run& run : runs_) {
-            if (run.row != ready) {
-                ready = run.row;
-                id_in_row_.assign(rows_.blocks, -1);
-                while (next < band_.active.size() && row_of(band_.active[next]) < ready) ++next;
-                for (; next < band_.active.size() && row_of(band_.active[next]) == ready; ++next)
-                    id_in_row_[band_.word[band_.active[next]] % rows_.blocks] = band_.active[next];
-            }
-            job(run);
+    int64_t each_site(const Run& run, Job&& job) {
+        int64_t n_far = 0;
+        const int64_t row = rows_.row_of_line(run.line) * rows_.tiles;
+        for (int64_t at = run.first; at < run.last; ++at) {
+            const int32_t id = slot_[row + at / kPlaces + 1];
+            if (id < 0)
+                ++n_far;
+            else
+                job(static_cast<Site>(id * kLanes + rows_.line_of_tile(run.line) * kPlaces + at % kPlaces));
         }
+        return n_far;
     }
 
     void tally(const Run& run, const uint16_t* u, Wound& wound) {
         wound.histogram.resize(size_t{G::bulk} + 1, 0);
-        for (int64_t lane = run.first; lane < run.last; ++lane) {
-            const int32_t id = id_in_row_[lane / kLanes + 1];
-            if (id < 0) {
-                ++wound.n_far, ++wound.histogram[0];
-                continue;
-            }
-            const Site site = static_cast<Site>(id * kLanes + lane % kLanes);
+        const int64_t n_far = each_site(run, [&](Site site) {
             wound.n_cells += has(cells(), site);
             ++wound.histogram[density(u, site)];
-        }
+        });
+        wound.n_far += n_far, wound.histogram[0] += static_cast<uint32_t>(n_far);
     }
 
     void keep_above(const Run& run, const uint16_t* u, Wound& wound) {
-        for (int64_t lane = run.first; lane < run.last; ++lane) {
-            const int32_t id = id_in_row_[lane / kLanes + 1];
-            if (id < 0) continue;
-            const Site site = static_cast<Site>(id * kLanes + lane % kLanes);
+        each_site(run, [&](Site site) {
             const uint16_t reached = density(u, site);
-            cells()[id] &= ~(1u << (site & 31)), free()[id] |= 1u << (site & 31);
+            cells()[site >> 5] &= ~(1u << (site & 31)), free()[site >> 5] |= 1u << (site & 31);
             if (reached > wound.level) settle_at(site);
             if (reached == wound.level) wound.ties.push_back(site);
-        }
+        });
     }
 
     // Beyond the core of the band it is that of undisturbed sites.
@@ -879,7 +889,7 @@ class Core final : public AutomatonCore {
                 misplaced[i] |= cells()[id] & ~fill()[id];
             }
         });
-        // blocks that are not active are not looked at again, so nothing may change right beside them
+        // tiles that are not active are not looked at again, so nothing may change right beside them
         for (int32_t id : band_.outer) require_inside(id, cells()[id] ^ occupied_[band_.word[id]]);
         const int64_t gained = n_occupied() - std::accumulate(before.begin(), before.end(), int64_t{0});
         const bool is_misplaced = std::any_of(misplaced.begin(), misplaced.end(), [](int64_t m) { return m != 0; });
@@ -905,6 +915,8 @@ class Core final : public AutomatonCore {
     std::vector<Front> front_;
     int64_t step_, n_cells_ = 0, n_fillable_ = 0;
     Work work_;
+    const Moves moves_ = all_moves();
+    const int64_t lines_[kLines] = {rows_.line(0), rows_.line(1), rows_.line(2), rows_.line(3)};
 
     // of one step; arrays by id have one more entry at either end, for lanes beyond the first and the last block
     bool is_whole_ = false, too_flat_ = false;
@@ -921,7 +933,7 @@ class Core final : public AutomatonCore {
     Words words_;
     std::vector<Run> runs_;
     std::vector<Wound> wounds_;
-    std::vector<int32_t> first_run_, id_in_row_;
+    std::vector<int32_t> first_run_, slot_;
 };
 
 const Kernels& kernels_by_name(const char* name) {

@@ -23,8 +23,8 @@ struct Counts {
 
 // What the last step had to look at, and the memory that is held.
 struct Work {
-    int64_t stored_blocks = 0, active_blocks = 0;  // of 32 sites
-    int64_t mixed_sites = 0;                       // of blocks where the density is not everywhere the same
+    int64_t stored_tiles = 0, active_tiles = 0;  // of 32 sites
+    int64_t mixed_sites = 0;                       // of tiles where the density is not everywhere the same
     int64_t edge_cells = 0, layer_cells = 0, shore_sites = 0;
     int64_t bytes = 0;
 };

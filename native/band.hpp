@@ -1,4 +1,4 @@
-// The part of a lattice that a step works on: blocks of 32 sites along rows, within some hops of the front.
+// The part of a lattice that a step works on: tiles of 32 sites within some hops of the front.
 #pragma once
 
 #include <algorithm>
@@ -11,53 +11,60 @@
 
 namespace cicatrix {
 
-// Rows of a lattice with a frame of one row and one block on every side, so that every neighbour exists.
+// Rows of tiles of a lattice, with a frame of one tile on every side, so that every neighbour exists.
 template <int D>
 struct Rows {
-    std::array<int64_t, 3> shape{};  // sites along each axis; shape[2] unused in 2-D
-    int64_t outer = 0, inner = 1;    // rows along the first axis and, in 3-D, along the second, frame included
-    int64_t width = 0;               // sites along the last axis
-    int64_t blocks = 0;              // blocks of a row, frame included
+    using G = Geometry<D>;
+    std::array<int64_t, 2> across{1, 1};  // sites along the first and, in 3-D, the second axis
+    int64_t width = 0;                    // and along the last
+    int64_t outer = 0, inner = 1;         // rows of tiles along the first and the second axis, frame included
+    int64_t tiles = 0;                    // of a row, frame included
 
-    explicit Rows(const std::vector<int64_t>& n) {
-        for (int axis = 0; axis < D; ++axis) shape[axis] = n[axis];
-        outer = n[0] + 2;
-        inner = D == 3 ? n[1] + 2 : 1;
-        width = n[D - 1];
-        blocks = (width + kLanes - 1) / kLanes + 2;
+    explicit Rows(const std::vector<int64_t>& n) : width(n[D - 1]) {
+        for (int axis = 0; axis < D - 1; ++axis) across[axis] = n[axis];
+        outer = (across[0] + G::height - 1) / G::height + 2;
+        inner = D == 3 ? (across[1] + G::depth - 1) / G::depth + 2 : 1;
+        tiles = (width + kPlaces - 1) / kPlaces + 2;
     }
 
     int64_t count() const { return outer * inner; }
-    int64_t n_inner_rows() const { return shape[0] * (D == 3 ? shape[1] : 1); }
-    // The row of the frame that the n-th row of the lattice is.
-    int64_t framed(int64_t n) const {
-        return D == 3 ? (n / shape[1] + 1) * inner + n % shape[1] + 1 : n + 1;
+    int64_t n_lines() const { return across[0] * across[1]; }
+    // The n-th line of sites lies in this row of tiles, as this line of its tiles.
+    int64_t row_of_line(int64_t n) const {
+        const int64_t i = n / across[1] / G::height + 1;
+        return D == 3 ? i * inner + n % across[1] / G::depth + 1 : i;
     }
-    // Number of the first site of a framed row in the C order of the lattice; nonsense on the frame.
+    int line_of_tile(int64_t n) const {
+        return static_cast<int>(n / across[1] % G::height * G::depth + (D == 3 ? n % across[1] % G::depth : 0));
+    }
+    // Number, in the C order of the lattice, of the first site of the row's first tile; nonsense on the frame.
     int64_t first_site(int64_t row) const {
-        return D == 3 ? ((row / inner - 1) * shape[1] + row % inner - 1) * width : (row - 1) * width;
+        const int64_t i = (row / inner - 1) * G::height, j = D == 3 ? (row % inner - 1) * G::depth : 0;
+        return (i * across[1] + j) * width;
     }
+    // How much further the first site of a line of a tile is.
+    int64_t line(int number) const { return (number / G::depth * across[1] + number % G::depth) * width; }
     bool on_frame(int64_t row) const {
         const int64_t i = row / inner, j = row % inner;
         return i == 0 || i == outer - 1 || (D == 3 && (j == 0 || j == inner - 1));
     }
     // How far in rows the row offset k leads.
-    int64_t stride(int k) const { return Geometry<D>::row[k][0] * inner + Geometry<D>::row[k][1]; }
+    int64_t stride(int k) const { return G::row[k][0] * inner + G::row[k][1]; }
 };
 
-// Free sites of a block that have a neighbour which is not free: from lane low to lane high.
+// A tile with free sites that have a neighbour which is not free: from place low to place high of its lines.
 struct Front {
     int64_t word;
     int32_t low, high;
 };
 
-// One bit per block of a lattice.
+// One bit per tile of a lattice.
 template <int D>
-class BlockSet {
+class TileSet {
    public:
-    explicit BlockSet(const Rows<D>& rows)
-        : rows_(rows), words_((rows.blocks + 63) / 64), bits_(rows.count() * words_), inner_(words_) {
-        for (int64_t b = 1; b < rows.blocks - 1; ++b) inner_[b >> 6] |= uint64_t{1} << (b & 63);
+    explicit TileSet(const Rows<D>& rows)
+        : rows_(rows), words_((rows.tiles + 63) / 64), bits_(rows.count() * words_), inner_(words_) {
+        for (int64_t b = 1; b < rows.tiles - 1; ++b) inner_[b >> 6] |= uint64_t{1} << (b & 63);
     }
 
     void clear(int64_t first, int64_t last) { std::fill(at(first * rows_.inner), at(last * rows_.inner), 0); }
@@ -71,10 +78,10 @@ class BlockSet {
         for (int64_t b = first; b <= last; ++b) here[b >> 6] |= uint64_t{1} << (b & 63);
     }
 
-    // Everything within `reach` rows along each axis but the last, in the range first .. last - 1 of the first axis.
-    void widen(int64_t reach, int64_t first, int64_t last) {
-        for (int64_t i = first; i < last && D == 3; ++i) spread(at(i * rows_.inner), rows_.inner, words_, reach);
-        spread(at(first * rows_.inner), last - first, rows_.inner * words_, reach);
+    // Everything within some rows along the first and the second axis, in the range first .. last - 1 of the first.
+    void widen(int64_t along_first, int64_t along_second, int64_t first, int64_t last) {
+        for (int64_t i = first; i < last && D == 3; ++i) spread(at(i * rows_.inner), rows_.inner, words_, along_second);
+        spread(at(first * rows_.inner), last - first, rows_.inner * words_, along_first);
     }
 
     void drop_frame(int64_t first, int64_t last) {
@@ -85,15 +92,15 @@ class BlockSet {
     }
 
     // What is not in the other set, the frame apart.
-    void complement(const BlockSet& other, int64_t first, int64_t last) {
+    void complement(const TileSet& other, int64_t first, int64_t last) {
         for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
             uint64_t* to = bits_.data() + r * words_;
             for (int64_t w = 0; w < words_; ++w) to[w] = rows_.on_frame(r) ? 0 : ~other.row(r)[w] & inner_[w];
         }
     }
 
-    // The other set and one block and row more on every side.
-    void surround(const BlockSet& other, int64_t first, int64_t last) {
+    // The other set and one tile more on every side.
+    void surround(const TileSet& other, int64_t first, int64_t last) {
         for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
             const uint64_t* from = other.row(r);
             uint64_t* to = bits_.data() + r * words_;
@@ -103,7 +110,7 @@ class BlockSet {
                 if (w + 1 < words_) to[w] |= from[w + 1] << 63;
             }
         }
-        widen(1, first, last);
+        widen(1, 1, first, last);
     }
 
    private:
@@ -130,29 +137,33 @@ class BlockSet {
     std::vector<uint64_t> bits_, inner_;
 };
 
-// Stored blocks, numbered along the rows. Active ones have all their neighbours stored.
+// Stored tiles, numbered along the rows. Active ones have all their neighbours stored.
 template <int D>
 class Band {
+    using G = Geometry<D>;
+
    public:
     explicit Band(const Rows<D>& rows)
         : rows_(rows), near_(rows), core_(rows), stored_(rows), rim_(rows), outside_(rows), beyond_(rows), first_run_(rows.count() + 1) {}
 
-    // Blocks within `reach` hops of the front become active, those within `inner` make the core; all blocks if `whole`.
+    // Tiles within `reach` hops of the front become active, those within `inner` make the core; all tiles if `whole`.
     void build(const std::vector<Front>& front, int64_t reach, int64_t inner, bool whole, Pool& pool) {
         int64_t low = 1, high = rows_.outer - 1;  // range of the first axis
         if (!whole) {
             low = rows_.outer, high = 0;
             for (const Front& f : front) {
-                const int64_t i = f.word / rows_.blocks / rows_.inner;
+                const int64_t i = f.word / rows_.tiles / rows_.inner;
                 low = std::min(low, i), high = std::max(high, i + 1);
             }
-            low = std::max<int64_t>(1, low - reach), high = std::min(rows_.outer - 1, high + reach);
+            const int64_t rows = in_rows(reach, G::height);
+            low = std::max<int64_t>(1, low - rows), high = std::min(rows_.outer - 1, high + rows);
         }
         const int64_t from = low - 1, to = high + 1;
         near_.clear(from, to), core_.clear(from, to);
         if (whole) {
-            for (int64_t n = 0; n < rows_.n_inner_rows(); ++n)
-                for (auto* set : {&near_, &core_}) set->add(rows_.framed(n), 1, rows_.blocks - 2);
+            for (int64_t r = 0; r < rows_.count(); ++r)
+                for (auto* set : {&near_, &core_})
+                    if (!rows_.on_frame(r)) set->add(r, 1, rows_.tiles - 2);
         } else {
             mark(near_, front, reach, from, to);
             mark(core_, front, inner, from, to);
@@ -175,29 +186,31 @@ class Band {
     Beside beside() const { return beside_; }
     int32_t beside(int row, int32_t id) const { return row ? rows_beside_[row][id] : id; }
 
-    std::vector<int64_t> word;        // where the block is in the framed lattice
+    std::vector<int64_t> word;        // where the tile is in the framed lattice
     std::vector<uint8_t> is_active;
     std::vector<uint8_t> is_frame;
     std::vector<int32_t> active, core;
     std::vector<uint8_t> is_core_or_rim;
     std::vector<int32_t> rim;    // not of the core, but beside it
-    std::vector<int32_t> outer;  // active, with a block beside it that is not, the frame apart
+    std::vector<int32_t> outer;  // active, with a tile beside it that is not, the frame apart
     std::vector<int64_t> first_site;  // number of lane 0
 
    private:
     struct Run {
-        int64_t first, last;  // blocks
+        int64_t first, last;  // tiles
         int32_t id;           // of the first
     };
 
-    void mark(BlockSet<D>& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
+    static int64_t in_rows(int64_t reach, int size) { return (reach + size - 1) / size; }
+
+    void mark(TileSet<D>& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
         for (const Front& f : front) {
-            const int64_t row = f.word / rows_.blocks, block = f.word % rows_.blocks;
-            const int64_t left = (f.low - reach - (kLanes - 1)) / kLanes, right = (f.high + reach) / kLanes;
+            const int64_t row = f.word / rows_.tiles, block = f.word % rows_.tiles;
+            const int64_t left = (f.low - reach - (kPlaces - 1)) / kPlaces, right = (f.high + reach) / kPlaces;
             set.add(row, std::max<int64_t>(1, block + left),
-                    std::min(rows_.blocks - 2, block + right));
+                    std::min(rows_.tiles - 2, block + right));
         }
-        set.widen(reach, from, to);
+        set.widen(in_rows(reach, G::height), in_rows(reach, G::depth), from, to);
         set.drop_frame(from, to);
     }
 
@@ -210,7 +223,7 @@ class Band {
         }
         first_run_[last] = static_cast<int32_t>(runs_.size());
         word.resize(n), first_site.resize(n), is_active.resize(n), is_frame.resize(n), is_core_or_rim.resize(n);
-        for (int k = 1; k < Geometry<D>::rows; ++k) {
+        for (int k = 1; k < G::rows; ++k) {
             rows_beside_[k].resize(n);
             beside_[k] = rows_beside_[k].data();
         }
@@ -237,13 +250,13 @@ class Band {
 
     void describe_row(int64_t r, int64_t first, int64_t last, Lists& lists) {
         for (int32_t i = first_run_[r]; i < first_run_[r + 1]; ++i) describe(r, runs_[i], lists);
-        for (int k = 1; k < Geometry<D>::rows; ++k) {
+        for (int k = 1; k < G::rows; ++k) {
             const int64_t other = r + rows_.stride(k);
             if (other >= first && other < last) join(r, other, rows_beside_[k]);
         }
     }
 
-    // Blocks of a row that follow each other, numbered from n; returns the next number.
+    // Tiles of a row that follow each other, numbered from n; returns the next number.
     int32_t find_runs(int64_t r, int32_t n) {
         const uint64_t* bits = stored_.row(r);
         for (int64_t w = 0; w < stored_.words(); ++w) {
@@ -252,13 +265,13 @@ class Band {
                 const int first = __builtin_ctzll(left);
                 const uint64_t gone = ~(left >> first);
                 const int count = gone ? __builtin_ctzll(gone) : 64 - first;
-                const int64_t block = 64 * w + first;
+                const int64_t tile = 64 * w + first;
                 const bool goes_on = first == 0 && static_cast<int32_t>(runs_.size()) > first_run_[r] &&
-                                     runs_.back().last == block - 1;
+                                     runs_.back().last == tile - 1;
                 if (goes_on)
                     runs_.back().last += count;
                 else
-                    runs_.push_back({block, block + count - 1, n});
+                    runs_.push_back({tile, tile + count - 1, n});
                 n += count;
                 left = first + count >= 64 ? 0 : left & ~uint64_t{0} << (first + count);
             }
@@ -268,14 +281,14 @@ class Band {
 
     void describe(int64_t r, const Run& run, Lists& lists) {
         const bool row_on_frame = rows_.on_frame(r);
-        const int64_t row_word = r * rows_.blocks, row_site = rows_.first_site(r) - kLanes;
+        const int64_t row_word = r * rows_.tiles, row_site = rows_.first_site(r) - kPlaces;
         const uint64_t *near = near_.row(r), *core_bits = core_.row(r), *rim_bits = rim_.row(r), *beyond = beyond_.row(r);
         int32_t id = run.id;
         for (int64_t b = run.first; b <= run.last; ++b, ++id) {
             const auto in = [b](const uint64_t* bits) { return static_cast<uint8_t>(bits[b >> 6] >> (b & 63) & 1); };
             word[id] = row_word + b;
-            first_site[id] = row_site + b * kLanes;
-            is_frame[id] = row_on_frame || b == 0 || b == rows_.blocks - 1;
+            first_site[id] = row_site + b * kPlaces;
+            is_frame[id] = row_on_frame || b == 0 || b == rows_.tiles - 1;
             is_active[id] = in(near);
             is_core_or_rim[id] = in(rim_bits);
             if (in(rim_bits) && !in(core_bits)) lists.rim.push_back(id);
@@ -300,7 +313,7 @@ class Band {
     }
 
     Rows<D> rows_;
-    BlockSet<D> near_, core_, stored_, rim_, outside_, beyond_;
+    TileSet<D> near_, core_, stored_, rim_, outside_, beyond_;
     std::vector<int32_t> first_run_;
     std::vector<Run> runs_;
     std::array<std::vector<int32_t>, kMaxRows> rows_beside_;

@@ -89,10 +89,10 @@ void bind_automaton(nb::module_& m) {
             [](const Automaton& a) {
                 const Work w = a.core->work();
                 nb::dict out;
-                out["stored_blocks"] = w.stored_blocks, out["active_blocks"] = w.active_blocks;
+                out["stored_tiles"] = w.stored_tiles, out["active_tiles"] = w.active_tiles;
                 out["mixed_sites"] = w.mixed_sites, out["edge_cells"] = w.edge_cells;
                 out["layer_cells"] = w.layer_cells, out["shore_sites"] = w.shore_sites, out["bytes"] = w.bytes;
                 return out;
             },
-            "What the last step had to look at (blocks of 32 sites, sites), and the bytes held.");
+            "What the last step had to look at (tiles of 32 sites, sites), and the bytes held.");
 }

@@ -3,6 +3,7 @@
 #include "kernels.hpp"
 
 #include <cstring>
+#include <type_traits>
 #if defined(__AVX2__) || defined(__SSE2__)
 #include <immintrin.h>
 #endif
@@ -81,6 +82,140 @@ inline bool any(U16 v) {
     for (uint64_t word : words) sum |= word;
     return sum != 0;
 #endif
+}
+
+// ---- moves by one site. Each takes a tile and the one it borders on, and gives what every lane's neighbour holds.
+
+#if defined(__AVX512BW__)
+using Wide = __m512i;
+inline Wide wide(U16 v) { return reinterpret_cast<Wide>(v.part[0]); }
+inline U16 narrow(Wide v) { return {{reinterpret_cast<Part>(v)}}; }
+#endif
+
+// Line i of the answer is line order[i] of eight: 0 .. 3 of `a`, 4 .. 7 of `b`.
+template <int i0, int i1, int i2, int i3>
+inline U16 lines(U16 a, U16 b) {
+#if defined(__AVX512BW__)
+    const Wide order = _mm512_setr_epi64(2 * i0, 2 * i0 + 1, 2 * i1, 2 * i1 + 1, 2 * i2, 2 * i2 + 1, 2 * i3, 2 * i3 + 1);
+    return narrow(_mm512_permutex2var_epi64(wide(a), order, wide(b)));
+#elif defined(__AVX2__)
+    auto line = [&](int i) {
+        const __m256i half = reinterpret_cast<__m256i>((i < 4 ? a : b).part[i % 4 / 2]);
+        return i % 2 ? _mm256_extracti128_si256(half, 1) : _mm256_castsi256_si128(half);
+    };
+    return {{reinterpret_cast<Part>(_mm256_set_m128i(line(i1), line(i0))),
+             reinterpret_cast<Part>(_mm256_set_m128i(line(i3), line(i2)))}};
+#else
+    auto line = [&](int i) { return (i < 4 ? a : b).part[i % 4]; };
+    return {{line(i0), line(i1), line(i2), line(i3)}};
+#endif
+}
+
+inline uint32_t byte(uint32_t a, uint32_t b, int i) { return (i < 4 ? a >> 8 * i : b >> 8 * (i - 4)) & 0xFF; }
+
+template <int i0, int i1, int i2, int i3>
+inline uint32_t lines(uint32_t a, uint32_t b) {
+    return byte(a, b, i0) | byte(a, b, i1) << 8 | byte(a, b, i2) << 16 | byte(a, b, i3) << 24;
+}
+
+// The neighbour before, and after, along the last axis.
+inline uint32_t before(uint32_t v, uint32_t left) { return (v << 1 & 0xFEFEFEFEu) | (left >> 7 & 0x01010101u); }
+inline uint32_t after(uint32_t v, uint32_t right) { return (v >> 1 & 0x7F7F7F7Fu) | (right << 7 & 0x80808080u); }
+
+inline U16 before(U16 v, U16 left) {
+#if defined(__AVX512BW__)
+    return narrow(_mm512_alignr_epi8(wide(v), wide(left), 14));
+#elif defined(__AVX2__)
+    for (int i = 0; i < kParts; ++i)
+        v.part[i] = reinterpret_cast<Part>(
+            _mm256_alignr_epi8(reinterpret_cast<__m256i>(v.part[i]), reinterpret_cast<__m256i>(left.part[i]), 14));
+    return v;
+#elif defined(__SSE2__)
+    for (int i = 0; i < kParts; ++i)
+        v.part[i] = reinterpret_cast<Part>(_mm_or_si128(_mm_slli_si128(reinterpret_cast<__m128i>(v.part[i]), 2),
+                                                        _mm_srli_si128(reinterpret_cast<__m128i>(left.part[i]), 14)));
+    return v;
+#else
+    U16 out;
+    for (int i = 0; i < kParts; ++i)
+        for (int j = 0; j < kPlaces; ++j) out.part[i][j] = j ? v.part[i][j - 1] : left.part[i][kPlaces - 1];
+    return out;
+#endif
+}
+
+inline U16 after(U16 v, U16 right) {
+#if defined(__AVX512BW__)
+    return narrow(_mm512_alignr_epi8(wide(right), wide(v), 2));
+#elif defined(__AVX2__)
+    for (int i = 0; i < kParts; ++i)
+        v.part[i] = reinterpret_cast<Part>(
+            _mm256_alignr_epi8(reinterpret_cast<__m256i>(right.part[i]), reinterpret_cast<__m256i>(v.part[i]), 2));
+    return v;
+#elif defined(__SSE2__)
+    for (int i = 0; i < kParts; ++i)
+        v.part[i] = reinterpret_cast<Part>(_mm_or_si128(_mm_srli_si128(reinterpret_cast<__m128i>(v.part[i]), 2),
+                                                        _mm_slli_si128(reinterpret_cast<__m128i>(right.part[i]), 14)));
+    return v;
+#else
+    U16 out;
+    for (int i = 0; i < kParts; ++i)
+        for (int j = 0; j < kPlaces; ++j) out.part[i][j] = j < kPlaces - 1 ? v.part[i][j + 1] : right.part[i][0];
+    return out;
+#endif
+}
+
+// What lies one site up (+) or down (-) the first and the second axis; `other` is the tile on that side.
+template <int D, class T>
+inline T up_first(T v, T other) {
+    return D == 2 ? lines<1, 2, 3, 4>(v, other) : lines<2, 3, 4, 5>(v, other);
+}
+template <int D, class T>
+inline T down_first(T v, T other) {
+    return D == 2 ? lines<7, 0, 1, 2>(v, other) : lines<6, 7, 0, 1>(v, other);
+}
+template <class T>
+inline T up_second(T v, T other) { return lines<1, 4, 3, 6>(v, other); }
+template <class T>
+inline T down_second(T v, T other) { return lines<5, 0, 7, 2>(v, other); }
+
+// Call use(what every lane sees) for each direction, in the order of the specification; at(row, 1) is the tile to the right.
+template <int D, class At, class Use>
+inline void each_neighbour(At&& at, Use&& use) {
+    const auto here = at(0, 0), left = at(0, -1), right = at(0, 1), above = at(1, 0), below = at(2, 0);
+    using T = std::decay_t<decltype(here)>;
+    const T back = before(here, left), forth = after(here, right);
+    use(up_first<D>(here, above));
+    use(down_first<D>(here, below));
+    if constexpr (D == 2) {
+        use(forth);
+        use(back);
+        use(up_first<D>(back, before(above, at(1, -1))));
+        use(down_first<D>(forth, after(below, at(2, 1))));
+    } else {
+        const auto beyond = at(3, 0), inside = at(4, 0);
+        const T higher = up_second(here, beyond), lower = down_second(here, inside);
+        use(higher);
+        use(lower);
+        use(forth);
+        use(back);
+        use(up_first<D>(lower, down_second(above, at(5, 0))));
+        use(up_first<D>(back, before(above, at(1, -1))));
+        use(down_first<D>(higher, up_second(below, at(6, 0))));
+        use(up_second(back, before(beyond, at(3, -1))));
+        use(down_first<D>(forth, after(below, at(2, 1))));
+        use(down_second(forth, after(inside, at(4, 1))));
+    }
+}
+
+template <int D, class Use>
+inline void each_neighbour(int32_t id, Beside beside, const uint32_t* bits, Use&& use) {
+    each_neighbour<D>([=](int row, int right) { return bits[(row ? beside[row][id] : id) + right]; }, use);
+}
+
+template <int D, class Use>
+inline void each_neighbour(int32_t id, Beside beside, const uint16_t* values, Use&& use) {
+    each_neighbour<D>(
+        [=](int row, int right) { return load(values + kLanes * size_t((row ? beside[row][id] : id) + right)); }, use);
 }
 
 // One 32-bit mask from a comparison of 32 lanes.
@@ -209,13 +344,23 @@ void philox(const uint64_t* group, size_t n, uint32_t step, uint32_t phase, cons
                      out + 4 * i);
 }
 
-// The words of 32 sites that follow each other: returns where they begin in the buffer.
-constexpr int kBuffer = 4 * (kLanes / 4 + 8);
-inline const uint32_t* words_of(uint64_t first, const Draw& draw, uint32_t* buffer) {
-    const int n = kLanes / 4 + ((first & 3) ? kCalls : 0);
-    for (int i = 0; i < n; i += kCalls)
-        calls(calls_from((first >> 2) + i), draw.step, draw.phase, draw.key, buffer + 4 * i);
-    return buffer + (first & 3);
+// The words of a tile's sites, in the order of its lanes.
+inline void words_of(int32_t id, const Draw& draw, uint32_t* words) {
+    constexpr int most = 3;  // calls for eight sites that follow each other
+    uint64_t group[kLines * most + 4];
+    uint32_t buffer[4 * (kLines * most + 8)];
+    const int64_t first = draw.first_site[id];
+    bool aligned = (first & 3) == 0;
+    for (int64_t line : draw.line) aligned &= (line & 3) == 0;
+    const int per_line = aligned ? 2 : most, n = kLines * per_line;
+    for (int i = 0; i < kLines; ++i)
+        for (int j = 0; j < per_line; ++j) group[i * per_line + j] = (static_cast<uint64_t>(first + draw.line[i]) >> 2) + j;
+    for (int i = n; i < kLines * most + 4; ++i) group[i] = 0;
+    uint32_t* out = aligned ? words : buffer;
+    for (int i = 0; i < n; i += kCalls) calls(load_calls(group + i), draw.step, draw.phase, draw.key, out + 4 * i);
+    if (aligned) return;
+    for (int i = 0; i < kLines; ++i)
+        std::memcpy(words + kPlaces * i, buffer + 4 * most * i + ((first + draw.line[i]) & 3), 4 * kPlaces);
 }
 
 // Bit j: word j is below the bound.
@@ -256,8 +401,8 @@ void draw(Ids ids, Draw draw, const uint32_t* mask, uint64_t limit, uint32_t* hi
     const uint32_t bound = static_cast<uint32_t>(limit);
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        uint32_t buffer[kBuffer];
-        const uint32_t* word = words_of(draw.first_site[id], draw, buffer);
+        uint32_t word[kLanes];
+        words_of(id, draw, word);
         hit[id] = (always ? ~0u : bits_below(word, bound)) & mask[id];
     }
 }
@@ -265,8 +410,8 @@ void draw(Ids ids, Draw draw, const uint32_t* mask, uint64_t limit, uint32_t* hi
 void random_values(Ids ids, Draw draw, const uint32_t* mask, uint16_t base, uint32_t n, uint16_t* out) {
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        uint32_t buffer[kBuffer];
-        const uint32_t* word = words_of(draw.first_site[id], draw, buffer);
+        uint32_t word[kLanes];
+        words_of(id, draw, word);
         const U16 meant = lanes_of(mask[id]), value = scaled(word, n) + fill(base);
         uint16_t* here = out + kLanes * size_t(id);
         store(here, (meant & value) | (~meant & load(here)));
@@ -327,42 +472,21 @@ int64_t count_bits(Ids ids, const uint32_t* bits) {
 }
 
 template <int D>
-inline U16 sum_of_neighbours(const uint16_t* const* at) {
-    U16 total = fill(0);
-    for (const Direction& n : Geometry<D>::neighbour) total = total + load(at[n.row] + n.lane);
-    return total;
-}
-
-// Where the block itself and the rows beside it begin.
-template <int D, class T>
-inline void rows_of(int32_t id, Beside beside, T* values, size_t lanes, T** at) {
-    at[0] = values + lanes * size_t(id);
-    for (int k = 1; k < Geometry<D>::rows; ++k) at[k] = values + lanes * size_t(beside[k][id]);
-}
-
-template <int D>
 void diffuse(Ids ids, Beside beside, const uint8_t* plain, const uint16_t* own, const uint32_t* fillable, const uint16_t* u,
              uint16_t* out) {
     using G = Geometry<D>;
     const U16 half = fill(1 << (G::shift - 1));
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        const uint16_t* at[kMaxRows];
-        rows_of<D>(id, beside, u, kLanes, at);
-        const U16 here = load(at[0]), total = sum_of_neighbours<D>(at);
-        U16 next;
+        const U16 here = load(u + kLanes * size_t(id));
+        U16 total = fill(0), next;
+        each_neighbour<D>(id, beside, u, [&](U16 seen) { total = total + seen; });
         if (plain[id])
             next = shifted_right<G::shift>(total + here * fill(G::own) + half);
         else
             next = shifted_right<G::shift>(total + here * load(own + kLanes * size_t(id)) + half) & lanes_of(fillable[id]);
         store(out + kLanes * size_t(id), next);
     }
-}
-
-// The word as each direction sees it: bit j is the neighbour of lane j.
-inline uint32_t shifted(const uint32_t* word, int lane) {
-    if (lane == 0) return word[0];
-    return lane > 0 ? (word[0] >> 1) | (word[1] << 31) : (word[0] << 1) | (word[-1] >> 31);
 }
 
 template <int D>
@@ -372,10 +496,8 @@ void start(Ids ids, Beside beside, const uint8_t* plain, const uint16_t* own, co
     const U16 half = fill(1 << (G::shift - 1));
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        const uint32_t* at[kMaxRows];
-        rows_of<D>(id, beside, bits, 1, at);
         U16 n = fill(0);
-        for (const Direction& d : G::neighbour) n = n - lanes_of(shifted(at[d.row], d.lane));
+        each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { n = n - lanes_of(seen); });
         const U16 weight = plain[id] ? fill(G::own) : load(own + kLanes * size_t(id));
         n = n + (lanes_of(bits[id]) & weight);
         const U16 next = shifted_right<G::shift>(n * fill(G::bulk) + half);
@@ -389,10 +511,8 @@ void weigh(Ids ids, Beside beside, const uint8_t* plain, const uint32_t* fillabl
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         if (plain[id]) continue;
-        const uint32_t* at[kMaxRows];
-        rows_of<D>(id, beside, fillable, 1, at);
         U16 weight = fill(G::own);
-        for (const Direction& n : G::neighbour) weight = weight - lanes_of(~shifted(at[n.row], n.lane));
+        each_neighbour<D>(id, beside, fillable, [&](uint32_t seen) { weight = weight - lanes_of(~seen); });
         store(own + kLanes * size_t(id), weight);
     }
 }
@@ -402,11 +522,7 @@ void touching(Ids ids, Beside beside, const uint32_t* mask, const uint32_t* bits
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         uint32_t near = 0;
-        if (mask[id]) {
-            const uint32_t* at[kMaxRows];
-            rows_of<D>(id, beside, bits, 1, at);
-            for (const Direction& n : Geometry<D>::neighbour) near |= shifted(at[n.row], n.lane);
-        }
+        if (mask[id]) each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { near |= seen; });
         out[id] = near & mask[id];
     }
 }
@@ -416,11 +532,7 @@ void border(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         uint32_t inner = bits[id];
-        if (inner) {
-            const uint32_t* at[kMaxRows];
-            rows_of<D>(id, beside, bits, 1, at);
-            for (const Direction& n : Geometry<D>::neighbour) inner &= shifted(at[n.row], n.lane);
-        }
+        if (inner) each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { inner &= seen; });
         out[id] = bits[id] & ~inner;
     }
 }
@@ -430,10 +542,8 @@ void price(Ids ids, Beside beside, const uint32_t* bits, const uint32_t* mask, u
            uint16_t* d) {
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        const uint32_t* at[kMaxRows];
-        rows_of<D>(id, beside, bits, 1, at);
         U16 n_near = fill(0);
-        for (const Direction& n : Geometry<D>::neighbour) n_near = n_near - lanes_of(shifted(at[n.row], n.lane));
+        each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { n_near = n_near - lanes_of(seen); });
         const U16 is_meant = lanes_of(mask[id]);
         uint16_t* here = d + kLanes * size_t(id);
         const U16 value = n_near * fill(unit) + load(extra + kLanes * size_t(id)) - fill(kNoPath);
@@ -446,92 +556,33 @@ void dilate(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         uint32_t wide = bits[id];
-        if (wide != ~0u) {
-            const uint32_t* at[kMaxRows];
-            rows_of<D>(id, beside, bits, 1, at);
-            for (const Direction& n : Geometry<D>::neighbour) wide |= shifted(at[n.row], n.lane);
-        }
+        if (wide != ~0u) each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { wide |= seen; });
         out[id] = wide;
     }
 }
 
-#if !defined(__AVX512BW__)
-// The last n numbers of one vector and the first ones of the next.
-template <int n>
-inline Part joined(Part one, Part next) {
-#if defined(__AVX2__)
-    const __m256i a = reinterpret_cast<__m256i>(one), b = reinterpret_cast<__m256i>(next);
-    const __m256i middle = _mm256_permute2x128_si256(a, b, 0x21);
-    if (n < 8) return reinterpret_cast<Part>(_mm256_alignr_epi8(b, middle, (16 - 2 * n) & 15));
-    return reinterpret_cast<Part>(_mm256_alignr_epi8(middle, a, (32 - 2 * n) & 15));
-#elif defined(__SSE2__)
-    const __m128i a = reinterpret_cast<__m128i>(one), b = reinterpret_cast<__m128i>(next);
-    return reinterpret_cast<Part>(_mm_or_si128(_mm_srli_si128(a, 16 - 2 * n), _mm_slli_si128(b, 2 * n)));
-#else
-    Part out;
-    for (int i = 0; i < kWidth / 2; ++i) out[i] = i < n ? one[kWidth / 2 - n + i] : next[i - n];
-    return out;
-#endif
-}
-#endif
-
-// Every lane takes what its left neighbour holds, the first one the number given.
-inline U16 from_left(U16 v, uint16_t first) {
-#if defined(__AVX512BW__)
-    const Part order = {0,  0,  1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14,
-                        15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30};
-    const __m512i moved = _mm512_permutexvar_epi16(reinterpret_cast<__m512i>(order), reinterpret_cast<__m512i>(v.part[0]));
-    return {{reinterpret_cast<Part>(_mm512_mask_set1_epi16(moved, 1u, static_cast<short>(first)))}};
-#else
-    U16 out;
-    Part before = Part{} + first;
-    for (int i = 0; i < kParts; ++i) {
-        out.part[i] = joined<1>(before, v.part[i]);
-        before = v.part[i];
-    }
-    return out;
-#endif
-}
-
-// The same from the right: the last lane takes the number given.
-inline U16 from_right(U16 v, uint16_t last) {
-#if defined(__AVX512BW__)
-    const Part order = {1,  2,  3,  4,  5,  6,  7,  8,  9,  10, 11, 12, 13, 14, 15, 16,
-                        17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27, 28, 29, 30, 31, 31};
-    const __m512i moved = _mm512_permutexvar_epi16(reinterpret_cast<__m512i>(order), reinterpret_cast<__m512i>(v.part[0]));
-    return {{reinterpret_cast<Part>(_mm512_mask_set1_epi16(moved, 1u << 31, static_cast<short>(last)))}};
-#else
-    U16 out;
-    Part after = Part{} + last;
-    for (int i = kParts - 1; i >= 0; --i) {
-        out.part[i] = joined<kWidth / 2 - 1>(v.part[i], after);
-        after = v.part[i];
-    }
-    return out;
-#endif
-}
-
 template <int D>
 bool relax_block(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
-    using G = Geometry<D>;
-    const uint16_t* at[kMaxRows];
-    rows_of<D>(id, beside, static_cast<const uint16_t*>(d), kLanes, at);
-    const U16 own = load(cost + kLanes * size_t(id)), before = load(at[0]);
-    U16 others = fill(kFar), here = before;
-    for (const Direction& n : G::neighbour)
-        if (n.row) others = least(others, load(at[n.row] + n.lane));
-    const uint16_t left = at[0][-1], right = at[0][kLanes];
-    while (true) {  // within the block until it stands
-        const U16 best = least(others, least(from_left(here, left), from_right(here, right)));
+    uint16_t* at = d + kLanes * size_t(id);
+    const U16 own = load(cost + kLanes * size_t(id)), first = load(at);
+    U16 around[Geometry<D>::rows][3];  // the tiles beside this one, loaded once
+    for (int k = 0; k < Geometry<D>::rows; ++k)
+        for (int right = -1; right <= 1; ++right)
+            around[k][right + 1] = load(d + kLanes * size_t((k ? beside[k][id] : id) + right));
+    U16& here = around[0][1];
+    while (true) {  // within the tile until it stands
+        U16 best = fill(kFar);
+        each_neighbour<D>([&](int row, int right) { return around[row][right + 1]; },
+                          [&](U16 seen) { best = least(best, seen); });
         const U16 sum = best + own;
         const U16 next = least(here, sum | (own > sum));  // saturating
         if (!any(next ^ here)) break;
         here = next;
     }
     dirty[id] = 0;
-    if (!any(here ^ before)) return false;
-    store(d + kLanes * size_t(id), here);
-    for (int k = 0; k < G::rows; ++k) {
+    if (!any(here ^ first)) return false;
+    store(at, here);
+    for (int k = 0; k < Geometry<D>::rows; ++k) {
         const int32_t other = k ? beside[k][id] : id;
         dirty[other - 1] = dirty[other + 1] = 1;
         if (k) dirty[other] = 1;

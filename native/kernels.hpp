@@ -1,7 +1,8 @@
 // The inner loops of the automaton, compiled once per instruction set; kernels.cpp holds them, automaton.cpp calls them.
 //
-// Sites are kept in blocks of 32 along the last axis. A stored block has a number (id); what lies beside it in its own row is
-// id - 1 and id + 1, what lies beside it in row offset k is beside[k][id]. Numbers per site lie at id * 32 + lane.
+// Sites are kept in tiles of 32: four lines of eight sites along the last axis, 4 x 8 in 2-D and 2 x 2 x 8 in 3-D. A stored tile
+// has a number (id); what lies beside it in its own row of tiles is id - 1 and id + 1, what lies beside it in row offset k is
+// beside[k][id]. Numbers per site lie at id * 32 + lane, lane = 8 * line + place; bit number lane of a word is that site too.
 #pragma once
 
 #include <cstddef>
@@ -14,20 +15,22 @@ constexpr int kMaxRows = 7;
 constexpr uint16_t kFar = 65535;     // no path
 constexpr uint16_t kNoPath = 65520;  // costs from here on belong to sites that no path leads through
 
+// A step to a neighbour: along the first axis, the second (3-D) and the last.
 struct Direction {
-    int row;   // row offset, an index into kRows
-    int lane;  // shift along the last axis
+    int first, second, last;
 };
 
-// Root lattices A2 and A3 in axial storage: neighbours in the order of the specification, and the rows they lie in.
+// Root lattices A2 and A3 in axial storage: neighbours in the order of the specification, and the rows of tiles they lie in.
 template <int D>
 struct Geometry;
 
 template <>
 struct Geometry<2> {
     static constexpr int rows = 3, directions = 6;
+    static constexpr int height = 4, depth = 1;  // lines of a tile along the first and the second axis
     static constexpr int row[rows][2] = {{0, 0}, {1, 0}, {-1, 0}};
-    static constexpr Direction neighbour[directions] = {{1, 0}, {2, 0}, {0, 1}, {0, -1}, {1, -1}, {2, 1}};
+    static constexpr Direction neighbour[directions] = {{1, 0, 0},  {-1, 0, 0}, {0, 0, 1},
+                                                        {0, 0, -1}, {1, 0, -1}, {-1, 0, 1}};
     static constexpr uint16_t bulk = 8191, own = 2;
     static constexpr int shift = 3;
 };
@@ -35,21 +38,27 @@ struct Geometry<2> {
 template <>
 struct Geometry<3> {
     static constexpr int rows = 7, directions = 12;
+    static constexpr int height = 2, depth = 2;
     static constexpr int row[rows][2] = {{0, 0}, {1, 0}, {-1, 0}, {0, 1}, {0, -1}, {1, -1}, {-1, 1}};
-    static constexpr Direction neighbour[directions] = {{1, 0},  {2, 0},  {3, 0}, {4, 0},  {0, 1}, {0, -1},
-                                                        {5, 0},  {1, -1}, {6, 0}, {3, -1}, {2, 1}, {4, 1}};
+    static constexpr Direction neighbour[directions] = {{1, 0, 0},  {-1, 0, 0}, {0, 1, 0},  {0, -1, 0},
+                                                        {0, 0, 1},  {0, 0, -1}, {1, -1, 0}, {1, 0, -1},
+                                                        {-1, 1, 0}, {0, 1, -1}, {-1, 0, 1}, {0, -1, 1}};
     static constexpr uint16_t bulk = 4095, own = 4;
     static constexpr int shift = 4;
 };
+
+constexpr int kLines = 4, kPlaces = 8;  // of a tile
 
 struct Ids {
     const int32_t* first;
     size_t count;
 };
 
-// What names a random word beside the site: counter and key of the generator; first_site[id] is the number of lane 0.
+// What names a random word beside the site: counter and key of the generator; the first site of a line of a tile has the
+// number first_site[id] + line[..].
 struct Draw {
     const int64_t* first_site;
+    int64_t line[kLines];
     uint32_t step, phase, key[2];
 };
 
