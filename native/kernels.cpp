@@ -111,13 +111,6 @@ inline U16 lines(U16 a, U16 b) {
 #endif
 }
 
-inline uint32_t byte(uint32_t a, uint32_t b, int i) { return (i < 4 ? a >> 8 * i : b >> 8 * (i - 4)) & 0xFF; }
-
-template <int i0, int i1, int i2, int i3>
-inline uint32_t lines(uint32_t a, uint32_t b) {
-    return byte(a, b, i0) | byte(a, b, i1) << 8 | byte(a, b, i2) << 16 | byte(a, b, i3) << 24;
-}
-
 // The neighbour before, and after, along the last axis.
 inline uint32_t before(uint32_t v, uint32_t left) { return (v << 1 & 0xFEFEFEFEu) | (left >> 7 & 0x01010101u); }
 inline uint32_t after(uint32_t v, uint32_t right) { return (v >> 1 & 0x7F7F7F7Fu) | (right << 7 & 0x80808080u); }
@@ -165,18 +158,29 @@ inline U16 after(U16 v, U16 right) {
 }
 
 // What lies one site up (+) or down (-) the first and the second axis; `other` is the tile on that side.
-template <int D, class T>
-inline T up_first(T v, T other) {
+template <int D>
+inline U16 up_first(U16 v, U16 other) {
     return D == 2 ? lines<1, 2, 3, 4>(v, other) : lines<2, 3, 4, 5>(v, other);
 }
-template <int D, class T>
-inline T down_first(T v, T other) {
+template <int D>
+inline U16 down_first(U16 v, U16 other) {
     return D == 2 ? lines<7, 0, 1, 2>(v, other) : lines<6, 7, 0, 1>(v, other);
 }
-template <class T>
-inline T up_second(T v, T other) { return lines<1, 4, 3, 6>(v, other); }
-template <class T>
-inline T down_second(T v, T other) { return lines<5, 0, 7, 2>(v, other); }
+inline U16 up_second(U16 v, U16 other) { return lines<1, 4, 3, 6>(v, other); }
+inline U16 down_second(U16 v, U16 other) { return lines<5, 0, 7, 2>(v, other); }
+
+template <int D>
+inline uint32_t up_first(uint32_t v, uint32_t other) {
+    constexpr int n = D == 2 ? 8 : 16;
+    return v >> n | other << (32 - n);
+}
+template <int D>
+inline uint32_t down_first(uint32_t v, uint32_t other) {
+    constexpr int n = D == 2 ? 8 : 16;
+    return v << n | other >> (32 - n);
+}
+inline uint32_t up_second(uint32_t v, uint32_t other) { return (v >> 8 & 0x00FF00FFu) | (other << 8 & 0xFF00FF00u); }
+inline uint32_t down_second(uint32_t v, uint32_t other) { return (v << 8 & 0xFF00FF00u) | (other >> 8 & 0x00FF00FFu); }
 
 // Call use(what every lane sees) for each direction, in the order of the specification; at(row, 1) is the tile to the right.
 template <int D, class At, class Use>
