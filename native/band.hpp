@@ -205,10 +205,10 @@ class Band {
 
     void mark(TileSet<D>& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
         for (const Front& f : front) {
-            const int64_t row = f.word / rows_.tiles, block = f.word % rows_.tiles;
+            const int64_t row = f.word / rows_.tiles, tile = f.word % rows_.tiles;
             const int64_t left = (f.low - reach - (kPlaces - 1)) / kPlaces, right = (f.high + reach) / kPlaces;
-            set.add(row, std::max<int64_t>(1, block + left),
-                    std::min(rows_.tiles - 2, block + right));
+            set.add(row, std::max<int64_t>(1, tile + left),
+                    std::min(rows_.tiles - 2, tile + right));
         }
         set.widen(in_rows(reach, G::height), in_rows(reach, G::depth), from, to);
         set.drop_frame(from, to);
@@ -306,8 +306,8 @@ class Band {
             while (b < first_run_[other + 1] && runs_[b].last < runs_[a].first) ++b;
             for (int32_t c = b; c < first_run_[other + 1] && runs_[c].first <= runs_[a].last; ++c) {
                 const int64_t low = std::max(runs_[a].first, runs_[c].first), high = std::min(runs_[a].last, runs_[c].last);
-                for (int64_t block = low; block <= high; ++block)
-                    out[runs_[a].id + (block - runs_[a].first)] = runs_[c].id + static_cast<int32_t>(block - runs_[c].first);
+                for (int64_t tile = low; tile <= high; ++tile)
+                    out[runs_[a].id + (tile - runs_[a].first)] = runs_[c].id + static_cast<int32_t>(tile - runs_[c].first);
             }
         }
     }

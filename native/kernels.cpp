@@ -566,7 +566,7 @@ void dilate(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
 }
 
 template <int D>
-bool relax_block(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
+bool relax_tile(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
     uint16_t* at = d + kLanes * size_t(id);
     const U16 own = load(cost + kLanes * size_t(id)), first = load(at);
     U16 around[Geometry<D>::rows][3];  // the tiles beside this one, loaded once
@@ -601,7 +601,7 @@ bool relax(Ids ids, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* d
         changed = false;
         for (size_t i = 0; i < ids.count; ++i) {
             const int32_t id = ids.first[down ? i : ids.count - 1 - i];
-            if (dirty[id]) changed |= relax_block<D>(id, beside, cost, d, dirty);
+            if (dirty[id]) changed |= relax_tile<D>(id, beside, cost, d, dirty);
         }
         ever |= changed;
     }

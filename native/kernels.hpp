@@ -101,7 +101,7 @@ struct Kernels {
                       const uint16_t* extra, uint16_t* d);
         // Bits that are set or have a neighbour set.
         void (*dilate)(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out);
-        // d = min(d, cost + least neighbour), in place, until nothing changes within these blocks; true if anything did.
+        // d = min(d, cost + least neighbour), in place, until nothing changes within these tiles; true if anything did.
         bool (*relax)(Ids ids, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty);
     } dimension[2];
 };

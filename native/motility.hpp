@@ -1,0 +1,143 @@
+// Motility: diffuse the cells in integers, then keep the level that holds as many.
+#pragma once
+
+#include <numeric>
+#include <utility>
+#include <vector>
+
+#include "stage.hpp"
+
+namespace cicatrix {
+
+template <int D>
+class Motility {
+    using G = Geometry<D>;
+
+   public:
+    explicit Motility(Stage<D>& stage) : s_(stage) {}
+
+    void move() {
+        if (s_.rules.substeps == 0) return;
+        const int64_t count = s_.count_bits(s_.band.core, s_.cells());
+        if (count == 0) return;
+        const uint16_t* u = diffuse();
+        const auto [level, above] = level_of(u, count);
+        if (!s_.is_whole && !(0 < level && level < G::bulk)) {
+            s_.too_flat = true;
+            throw TooNarrow();
+        }
+        keep_level(u, level, count - above);
+    }
+
+    // Integer density after all sub-steps, in the core of the band and right beside it.
+    const uint16_t* diffuse() {
+        const size_t n = kLanes * (s_.band.size() + 2);
+        density_[0].resize(n), density_[1].resize(n);
+        uint16_t* u[2] = {density_[0].data() + kLanes, density_[1].data() + kLanes};
+        s_.pieces(s_.band.rim, [&](int, Ids ids) {
+            s_.kernels.expand(ids, s_.cells(), G::bulk, u[0]);
+            s_.kernels.expand(ids, s_.cells(), G::bulk, u[1]);
+        });
+        find_plain();
+        auto sub_step = [&](int64_t i, Ids ids) {
+            const uint16_t* own = own_.data() + kLanes;
+            if (i == 0)
+                s_.by.start(ids, s_.band.beside(), plain_.data(), own, s_.fill(), s_.cells(), u[1]);
+            else
+                s_.by.diffuse(ids, s_.band.beside(), plain_.data(), own, s_.fill(), u[i & 1], u[(i + 1) & 1]);
+        };
+        if (s_.pool.threads() == 1)
+            in_waves(sub_step);
+        else
+            for (int64_t i = 0; i < s_.rules.substeps; ++i) s_.pieces(s_.band.core, [&](int, Ids ids) { sub_step(i, ids); });
+        return u[s_.rules.substeps & 1];
+    }
+
+    int64_t bytes() const {
+        return static_cast<int64_t>(2 * (density_[0].capacity() + density_[1].capacity() + own_.capacity()) +
+                                    4 * (above_.capacity() + equal_.capacity()));
+    }
+
+   private:
+    // All sub-steps while the planes they need are in the cache: plane p does sub-step i when plane p + 1 has done i - 1.
+    template <class SubStep>
+    void in_waves(SubStep&& sub_step) {
+        const std::vector<size_t> cuts = s_.slabs(s_.band.core, kTilesPerWave);
+        const int64_t n = static_cast<int64_t>(cuts.size()) - 1;
+        for (int64_t wave = 0; wave < n + s_.rules.substeps - 1; ++wave)
+            for (int64_t i = std::max<int64_t>(0, wave - n + 1); i <= std::min(wave, s_.rules.substeps - 1); ++i) {
+                const size_t first = cuts[wave - i], last = cuts[wave - i + 1];
+                sub_step(i, Ids{s_.band.core.data() + first, last - first});
+            }
+    }
+
+    // Blocks around which every site can be filled need no weights of their own.
+    void find_plain() {
+        plain_.resize(s_.band.size());
+        std::vector<uint8_t> all(s_.most_pieces(), 1);
+        s_.pieces(s_.band.core, [&](int i, Ids ids) {
+            for (size_t n = 0; n < ids.count; ++n) {
+                uint32_t full = ~0u;
+                for (int k = 0; k < G::rows; ++k) {
+                    const uint32_t* here = s_.fill() + s_.band.beside(k, ids.first[n]);
+                    full &= here[-1] & here[0] & here[1];
+                }
+                plain_[ids.first[n]] = full == ~0u;
+                all[i] &= full == ~0u;
+            }
+        });
+        if (std::all_of(all.begin(), all.end(), [](uint8_t a) { return a != 0; })) return;
+        own_.resize(kLanes * (s_.band.size() + 2));
+        s_.pieces(s_.band.core, [&](int, Ids ids) {
+            s_.by.weigh(ids, s_.band.beside(), plain_.data(), s_.fill(), own_.data() + kLanes);
+        });
+    }
+
+    // The level U0 that `count` fillable sites of the core reach, and how many lie above it: by bisection.
+    std::pair<uint16_t, int64_t> level_of(const uint16_t* u, int64_t count) {
+        mixed_.resize(s_.band.core.size());
+        int64_t n_bulk = 0;
+        mixed_.resize(s_.kernels.mixed(Ids{s_.band.core.data(), s_.band.core.size()}, u, G::bulk, mixed_.data(), &n_bulk));
+        s_.work.mixed_sites = kLanes * static_cast<int64_t>(mixed_.size());
+        auto from = [&](uint32_t level) {
+            std::vector<int64_t> parts(s_.most_pieces(), 0);
+            s_.pieces(mixed_, [&](int i, Ids ids) { parts[i] = s_.kernels.count_from(ids, u, static_cast<uint16_t>(level)); });
+            return std::accumulate(parts.begin(), parts.end(), kLanes * n_bulk);
+        };
+        uint32_t low = 0, high = G::bulk + 1;  // from(low) >= count > from(high)
+        int64_t above = 0;
+        while (high - low > 1) {
+            const uint32_t middle = (low + high) / 2;
+            const int64_t reached = from(middle);
+            if (reached >= count)
+                low = middle;
+            else
+                high = middle, above = reached;
+        }
+        return {static_cast<uint16_t>(low), above};
+    }
+
+    // Cells sit where U > level, and at `wanted` of the sites at the level.
+    void keep_level(const uint16_t* u, uint16_t level, int64_t wanted) {
+        above_.resize(s_.band.size()), equal_.resize(s_.band.size());
+        s_.pieces(s_.band.core, [&](int, Ids ids) { s_.kernels.compare(ids, u, level, above_.data(), equal_.data()); });
+        s_.words.clear();
+        for (int32_t id : s_.band.core) {
+            s_.cells()[id] = above_[id] & s_.fill()[id];
+            s_.free()[id] = s_.fill()[id] & ~s_.cells()[id];
+            for (uint32_t left = equal_[id] & s_.fill()[id]; left; left &= left - 1)
+                s_.add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
+        }
+        for (Site site : s_.first_of(kMotilityTie, wanted)) s_.settle_at(site);
+    }
+
+    static constexpr size_t kTilesPerWave = 64;  // some of them fit into the first cache, with all their sub-steps
+
+    Stage<D>& s_;
+    std::vector<uint16_t> density_[2], own_;
+    std::vector<uint8_t> plain_;
+    std::vector<int32_t> mixed_;
+    std::vector<uint32_t> above_, equal_;
+};
+
+}  // namespace cicatrix

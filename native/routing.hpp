@@ -1,0 +1,201 @@
+// Redistribution along noisy shortest paths: every daughter is a token that walks to a free site.
+#pragma once
+
+#include <algorithm>
+#include <utility>
+#include <vector>
+
+#include "stage.hpp"
+
+namespace cicatrix {
+
+// Cells of the layer, tile by tile.
+struct Layer {
+    std::vector<int32_t> tiles;
+    std::vector<uint32_t> bits_;  // by id, one more entry at either end
+
+    uint32_t* bits() { return bits_.data() + 1; }
+};
+
+template <int D>
+class Routing {
+    using G = Geometry<D>;
+    using Around = typename Stage<D>::Around;
+
+   public:
+    Routing(Stage<D>& stage, Layer& layer) : s_(stage), layer_(layer) {}
+
+    void place(const std::vector<Site>& parents) {
+        open_paths();
+        relax_layer();
+        std::vector<Site> tokens(parents);
+        s_.ranges(tokens.size(), [&](int, size_t first, size_t last) {
+            for (size_t i = first; i < last; ++i) tokens[i] = distance()[tokens[i]] < kFar ? descend(tokens[i]) : kNowhere;
+        });
+        tokens.erase(std::remove(tokens.begin(), tokens.end(), kNowhere), tokens.end());
+        s_.pieces(layer_.tiles, [&](int, Ids ids) { clear(ids, distance()); });
+        for (tokens = land(tokens); !tokens.empty(); tokens = land(tokens)) tokens = walk(tokens);
+    }
+
+    int64_t bytes() const {
+        return static_cast<int64_t>(2 * (cost_.capacity() + distance_.capacity()) + 4 * stamp_.capacity() + dirty_.capacity());
+    }
+
+   private:
+    uint16_t* cost() { return cost_.data() + kLanes; }
+    uint16_t* distance() { return distance_.data() + kLanes; }
+
+    // Costs of the layer, prices of the empty sites beside it.
+    void open_paths() {
+        const size_t n = kLanes * (s_.band.size() + 2);
+        cost_.resize(n), distance_.resize(n), stamp_.resize(n, 0);
+        s_.ranges(s_.band.size(), [&](int, size_t first, size_t last) {
+            std::fill(cost() + kLanes * first, cost() + kLanes * last, kFar);
+            std::fill(distance() + kLanes * first, distance() + kLanes * last, kFar);
+        });
+        s_.pieces(layer_.tiles, [&](int, Ids ids) {
+            s_.kernels.random_values(ids, s_.random(kPathCost), layer_.bits(), kHopCost, s_.rules.path_noise + 1, cost());
+        });
+        s_.pieces(s_.band.active, [&](int, Ids ids) { s_.by.touching(ids, s_.band.beside(), s_.free(), layer_.bits(), s_.scratch()); });
+        s_.collect(s_.band.active, shore_, [&](int32_t id, std::vector<int32_t>& found) {
+            if (s_.scratch()[id]) found.push_back(id);
+        });
+        s_.work.shore_sites = s_.count_bits(shore_, s_.scratch());
+        s_.pieces(shore_, [&](int, Ids ids) {
+            s_.kernels.random_values(ids, s_.random(kSettle), s_.free(), kNoPath, kUnit, cost());
+            s_.by.price(ids, s_.band.beside(), s_.free(), s_.scratch(), kUnit, cost(), distance());
+        });
+    }
+
+    static void clear(Ids ids, uint16_t* values) {
+        for (size_t i = 0; i < ids.count; ++i) std::fill_n(values + kLanes * size_t(ids.first[i]), kLanes, kFar);
+    }
+
+    static constexpr Site kNowhere = ~Site{0};
+    static constexpr uint16_t kUnit = kSettleCost / G::directions;
+
+    // The fewer cells beside an empty site, the dearer it is to settle there.
+    void price(Site site) {
+        if (cost()[site] == kFar) cost()[site] = static_cast<uint16_t>(kNoPath + below(s_.word_at(site, kSettle), kUnit));
+        uint32_t n_free = 0;
+        for (Site other : s_.around(site)) n_free += s_.has(s_.free(), other);
+        distance()[site] = static_cast<uint16_t>(kUnit * n_free + cost()[site] - kNoPath);
+    }
+
+    // Solve d = cost + least neighbour in the layer. Pieces are slabs of the first axis, so that every other one can be
+    // worked on at once without reading what another writes; the solution is unique, whatever the order.
+    void relax_layer() {
+        dirty_.assign(s_.band.size() + 2, 0);
+        for (int32_t id : layer_.tiles) dirty_[id + 1] = 1;
+        const size_t size = std::max<size_t>(layer_.tiles.size() / (4 * s_.pool.threads()), kTilesPerPiece);
+        const std::vector<size_t> cuts = s_.slabs(layer_.tiles, s_.pool.threads() == 1 ? layer_.tiles.size() : size);
+        const int n = static_cast<int>(cuts.size()) - 1;
+        for (bool changed = true; changed;) {
+            std::vector<uint8_t> moved(n, 0);
+            for (int parity = 0; parity < 2; ++parity)
+                s_.pool.each((n + 1 - parity) / 2, [&](int i) {
+                    const int slab = 2 * i + parity;
+                    const Ids ids{layer_.tiles.data() + cuts[slab], cuts[slab + 1] - cuts[slab]};
+                    moved[slab] = s_.by.relax(ids, s_.band.beside(), cost(), distance(), dirty_.data() + 1);
+                });
+            changed = n > 1 && std::any_of(moved.begin(), moved.end(), [](uint8_t m) { return m != 0; });
+        }
+    }
+
+    // Walk to the neighbour of least distance, the first among equals, until the site is free.
+    Site descend(Site site) {
+        while (!s_.has(s_.free(), site)) {
+            const Around others = s_.around(site);
+            Site best = others.site[0];
+            for (Site other : others)
+                if (distance()[other] < distance()[best]) best = other;
+            site = best;
+        }
+        return site;
+    }
+
+    // One token of each site stays there; returns the others.
+    std::vector<Site> land(std::vector<Site>& tokens) {
+        std::sort(tokens.begin(), tokens.end());
+        std::vector<Site> rest;
+        for (size_t i = 0; i < tokens.size(); ++i) {
+            if (i > 0 && tokens[i] == tokens[i - 1]) {
+                rest.push_back(tokens[i]);
+                continue;
+            }
+            const Site site = tokens[i];
+            s_.settle_at(site);
+            cost()[site] = static_cast<uint16_t>(kHopCost + below(s_.word_at(site, kPathCost), s_.rules.path_noise + 1));
+            distance()[site] = kFar;
+        }
+        return rest;
+    }
+
+    // Move tokens to free sites, those without a path are dropped. The field is solved near the tokens only: a path that
+    // leaves `reach` hops costs at least 64 (reach + 1), so smaller distances are exact; for the others it is doubled.
+    std::vector<Site> walk(std::vector<Site> tokens) {
+        std::vector<Site> done;
+        for (int64_t reach = 2; !tokens.empty(); reach *= 2) {
+            const bool is_all = find_near(tokens, reach);
+            solve_near();
+            const uint64_t exact = is_all ? uint64_t{kFar} : std::min<uint64_t>(kFar, kHopCost * (reach + 1));
+            std::vector<Site> far;
+            for (Site site : tokens) {
+                if (distance()[site] < exact)
+                    done.push_back(descend(site));
+                else if (!is_all)
+                    far.push_back(site);
+            }
+            for (Site site : near_) distance()[site] = kFar;
+            tokens = std::move(far);
+        }
+        return done;
+    }
+
+    bool find_near(const std::vector<Site>& tokens, int64_t reach) {
+        ++generation_;
+        near_.clear();
+        auto add = [&](Site site) {
+            if (stamp()[site] != generation_) stamp()[site] = generation_, near_.push_back(site);
+        };
+        for (Site site : tokens) add(site);
+        size_t ring = 0;
+        for (int64_t hop = 1; hop < reach && ring < near_.size(); ++hop) {
+            const size_t last = near_.size();
+            for (; ring < last; ++ring) {
+                for (Site other : s_.around(near_[ring]))
+                    if (cost()[other] < kNoPath) add(other);
+            }
+        }
+        return ring == near_.size();
+    }
+
+    void solve_near() {
+        for (Site site : near_)
+            for (Site other : s_.around(site))
+                if (s_.has(s_.free(), other)) price(other);
+        for (bool changed = true; changed;) {
+            changed = false;
+            for (size_t i = near_.size(); i-- > 0;) {
+                const Site site = near_[i];
+                uint32_t best = kFar;
+                for (Site other : s_.around(site)) best = std::min<uint32_t>(best, distance()[other]);
+                best += cost()[site];
+                if (best < distance()[site]) distance()[site] = static_cast<uint16_t>(best), changed = true;
+            }
+        }
+    }
+
+    uint32_t* stamp() { return stamp_.data() + kLanes; }
+
+    Stage<D>& s_;
+    Layer& layer_;
+    std::vector<uint16_t> cost_, distance_;
+    std::vector<uint8_t> dirty_;
+    std::vector<uint32_t> stamp_;
+    uint32_t generation_ = 0;
+    std::vector<int32_t> shore_;
+    std::vector<Site> near_;
+};
+
+}  // namespace cicatrix

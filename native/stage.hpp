@@ -1,0 +1,241 @@
+// What the parts of a step share: the lattice, the band, the cells in it, and how work is shared out.
+#pragma once
+
+#include <algorithm>
+#include <array>
+#include <stdexcept>
+#include <tuple>
+#include <vector>
+
+#include "automaton.hpp"
+#include "band.hpp"
+#include "kernels.hpp"
+#include "philox.hpp"
+#include "pool.hpp"
+#include "sites.hpp"
+
+namespace cicatrix {
+
+template <int D>
+class Stage {
+    using G = Geometry<D>;
+
+   public:
+    Stage(const std::vector<int64_t>& shape, const Rules& the_rules, int64_t first_step, int threads, const Kernels& the_kernels)
+        : rows(shape), rules(the_rules), key{static_cast<uint32_t>(rules.seed), static_cast<uint32_t>(rules.seed >> 32)},
+          kernels(the_kernels), by(kernels.dimension[D - 2]), pool(threads), fillable(rows.count() * rows.tiles),
+          occupied(fillable.size()), band(rows), step(first_step) {}
+
+    // Sites of the band, in tiles: cells, sites that can be filled, free sites.
+    void load() {
+        const size_t n = band.size();
+        if (n >= kMostTiles) throw std::length_error("the front is too large: more than 2^26 tiles of 32 sites");
+        cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2);
+        ranges(n, [&](int, size_t first, size_t last) {
+            for (size_t id = first; id < last; ++id) {
+                const int64_t word = band.word[id];
+                cells()[id] = occupied[word], fill()[id] = fillable[word];
+                free()[id] = fill()[id] & ~cells()[id];
+            }
+        });
+    }
+
+    uint32_t* scratch() { return scratch_.data() + 1; }
+    uint32_t* cells() { return cells_.data() + 1; }
+    uint32_t* fill() { return fill_.data() + 1; }
+    uint32_t* free() { return free_.data() + 1; }
+
+    int64_t n_occupied() { return count_bits(band.active, cells()); }
+
+    int64_t count_bits(const std::vector<int32_t>& ids, const uint32_t* bits) const {
+        return kernels.count_bits(Ids{ids.data(), ids.size()}, bits);
+    }
+
+    Draw random(Phase phase) const {
+        return {band.first_site.data(), {lines[0], lines[1], lines[2], lines[3]}, static_cast<uint32_t>(step), phase,
+                {key[0], key[1]}};
+    }
+
+    uint64_t number(Site site) const {
+        return band.first_site[site >> 5] + lines[(site & 31) / kPlaces] + site % kPlaces;
+    }
+
+    // All neighbours of a site, in the order of the specification.
+    struct Around {
+        Site site[G::directions];
+        const Site* begin() const { return site; }
+        const Site* end() const { return site + G::directions; }
+    };
+
+    Around around(Site site) const {
+        const int32_t id = site >> 5;
+        if (!band.is_active[id]) throw TooNarrow();
+        int32_t tile[G::rows];
+        for (int k = 0; k < G::rows; ++k) tile[k] = band.beside(k, id);
+        Around out;
+        for (int k = 0; k < G::directions; ++k) {
+            const Move& move = moves[site & 31][k];
+            out.site[k] = static_cast<Site>((tile[move.row] + move.right) * kLanes + move.lane);
+        }
+        return out;
+    }
+
+    static bool has(const uint32_t* bits, Site site) { return bits[site >> 5] >> (site & 31) & 1; }
+
+    void settle_at(Site site) {
+        cells()[site >> 5] |= 1u << (site & 31);
+        free()[site >> 5] &= ~(1u << (site & 31));
+    }
+
+    // Share out 0 .. n - 1: job(piece number, first, last).
+    template <class Job>
+    void ranges(size_t n, Job&& job) {
+        const size_t most = pool.threads() == 1 ? 1 : most_pieces();
+        const int used = static_cast<int>(std::max<size_t>(1, std::min(most, n / kTilesPerPiece)));
+        pool.each(used, [&](int i) { job(i, n * i / used, n * (i + 1) / used); });
+    }
+
+    // Share out a list of tiles: job(piece number, ids).
+    template <class Job>
+    void pieces(const std::vector<int32_t>& ids, Job&& job) {
+        ranges(ids.size(), [&](int i, size_t first, size_t last) { job(i, Ids{ids.data() + first, last - first}); });
+    }
+
+    // What each piece finds among these tiles, one after the other: find(id, list).
+    template <class T, class Find>
+    void collect(const std::vector<int32_t>& ids, std::vector<T>& all, Find&& find) {
+        std::vector<std::vector<T>> parts(most_pieces());
+        pieces(ids, [&](int i, Ids some) {
+            for (size_t k = 0; k < some.count; ++k) find(some.first[k], parts[i]);
+        });
+        all.clear();
+        for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
+    }
+
+    int most_pieces() const { return 4 * pool.threads(); }
+
+    static void add_sites(int32_t id, uint32_t bits, std::vector<Site>& sites) {
+        for (; bits; bits &= bits - 1) sites.push_back(static_cast<Site>(id) * kLanes + __builtin_ctz(bits));
+    }
+
+    void add_word(Site site) { words.add(site, number(site)); }
+
+    // The `wanted` sites in words with the least (word, number).
+    std::vector<Site> first_of(Phase phase, int64_t wanted) {
+        std::vector<Site> first;
+        if (wanted >= static_cast<int64_t>(words.size())) {
+            for (size_t i = 0; i < words.size(); ++i) first.push_back(words.site(i));
+            return first;
+        }
+        words.draw(kernels, step, phase, key);
+        std::vector<std::tuple<uint32_t, uint64_t, Site>> order(words.size());
+        for (size_t i = 0; i < order.size(); ++i) order[i] = {words.word(i), number(words.site(i)), words.site(i)};
+        std::nth_element(order.begin(), order.begin() + wanted, order.end());
+        for (int64_t i = 0; i < wanted; ++i) first.push_back(std::get<2>(order[i]));
+        return first;
+    }
+
+    // Sites within some hops of a free one, whatever lies between.
+    void find_zone(int64_t hops) {
+        zone[0] = free_, zone[1] = free_;
+        for (int64_t i = 0; i < hops; ++i) {
+            pieces(band.active, [&](int, Ids ids) {
+                by.dilate(ids, band.beside(), zone[0].data() + 1, zone[1].data() + 1);
+            });
+            std::swap(zone[0], zone[1]);
+        }
+        for (int32_t id : band.outer)  // what would spread from here to tiles that are not active
+            require_inside(id, zone[0][id + 1] & ~free()[id]);
+    }
+
+    // All neighbours of these sites of a tile lie in active tiles, or beyond the lattice.
+    void require_inside(int32_t id, uint32_t sites) const {
+        for (; sites; sites &= sites - 1)
+            for (const Move& move : moves[__builtin_ctz(sites)])
+                if (leads_out(band.beside(move.row, id) + move.right)) throw TooNarrow();
+    }
+
+    bool leads_out(int32_t id) const { return !band.is_active[id] && !band.is_frame[id]; }
+
+    uint32_t word_at(Site site, Phase phase) const {
+        uint32_t words[4];
+        const uint64_t group = number(site) >> 2;
+        philox_block(static_cast<uint32_t>(group), static_cast<uint32_t>(group >> 32), static_cast<uint32_t>(step), phase,
+                     key[0], key[1], words);
+        return words[number(site) & 3];
+    }
+
+    // Cut a list of tiles between planes of the first axis, into parts of at least `size` tiles.
+    std::vector<size_t> slabs(const std::vector<int32_t>& ids, size_t size) const {
+        std::vector<size_t> cuts{0};
+        for (size_t i = 1; i < ids.size(); ++i)
+            if (i - cuts.back() >= size && plane(ids[i]) > plane(ids[i - 1])) cuts.push_back(i);
+        cuts.push_back(ids.size());
+        return cuts;
+    }
+
+    int64_t plane(int32_t id) const { return band.word[id] / rows.tiles / rows.inner; }
+
+    uint32_t free_word(int64_t word) const { return fillable[word] & ~occupied[word]; }
+
+    int64_t bytes() const {
+        int64_t n = band.bytes();
+        for (const auto* v : {&fillable, &occupied, &cells_, &fill_, &free_, &zone[0], &zone[1], &scratch_})
+            n += static_cast<int64_t>(4 * v->capacity());
+        return n;
+    }
+
+    Rows<D> rows;
+    Rules rules;
+    uint32_t key[2];
+    const Kernels& kernels;
+    const Kernels::ByDimension& by;
+    Pool pool;
+    std::vector<uint32_t> fillable, occupied;  // of the lattice
+    Band<D> band;
+    int64_t step;
+    bool is_whole = false, too_flat = false;
+    Words words;
+    Work work;
+
+    // Bits of the tiles of the band. Arrays by id have one more entry at either end.
+    std::vector<uint32_t> zone[2];
+
+   private:
+    static constexpr size_t kMostTiles = size_t{1} << 26;  // their sites have 31-bit numbers
+
+    // Where a direction leads from a lane: row offset, tiles to the right, lane there.
+    struct Move {
+        int8_t row, right, lane;
+    };
+
+    using Moves = std::array<std::array<Move, G::directions>, kLanes>;
+
+    static Moves all_moves() {
+        auto split = [](int x, int size, int& tile) {
+            tile = x < 0 ? -1 : x >= size ? 1 : 0;
+            return x - tile * size;
+        };
+        Moves moves{};
+        for (int lane = 0; lane < kLanes; ++lane)
+            for (int k = 0; k < G::directions; ++k) {
+                const Direction& d = G::neighbour[k];
+                const int line = lane / kPlaces;
+                int tile_first, tile_second, right;
+                const int i = split(line / G::depth + d.first, G::height, tile_first);
+                const int j = split(line % G::depth + d.second, G::depth, tile_second);
+                const int place = split(lane % kPlaces + d.last, kPlaces, right);
+                int row = 0;
+                while (G::row[row][0] != tile_first || G::row[row][1] != tile_second) ++row;
+                const int there = (i * G::depth + j) * kPlaces + place;
+                moves[lane][k] = {static_cast<int8_t>(row), static_cast<int8_t>(right), static_cast<int8_t>(there)};
+            }
+        return moves;
+    }
+
+    std::vector<uint32_t> cells_, fill_, free_, scratch_;
+    const Moves moves = all_moves();
+    const int64_t lines[kLines] = {rows.line(0), rows.line(1), rows.line(2), rows.line(3)};
+};
+
+}  // namespace cicatrix
