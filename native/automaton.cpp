@@ -19,8 +19,8 @@ class Core final : public AutomatonCore {
 
    public:
     Core(const std::vector<int64_t>& shape, const uint8_t* fillable, const uint8_t* occupied, const Rules& rules,
-         int64_t step, int threads, const Kernels& kernels)
-        : s_(shape, rules, step, threads, kernels) {
+         int64_t step, int threads, int64_t tiles_per_piece, const Kernels& kernels)
+        : s_(shape, rules, step, threads, tiles_per_piece, kernels) {
         read(fillable, s_.fillable);
         read(occupied, s_.occupied);
         for (size_t i = 0; i < s_.fillable.size(); ++i) {
@@ -283,10 +283,10 @@ std::vector<const char*> instruction_sets() {
 
 std::unique_ptr<AutomatonCore> make_automaton(const std::vector<int64_t>& shape, const uint8_t* fillable,
                                               const uint8_t* occupied, const Rules& rules, int64_t step, int threads,
-                                              const char* isa) {
+                                              int64_t tiles_per_piece, const char* isa) {
     const Kernels& kernels = kernels_by_name(isa);
-    if (shape.size() == 2) return std::make_unique<Core<2>>(shape, fillable, occupied, rules, step, threads, kernels);
-    if (shape.size() == 3) return std::make_unique<Core<3>>(shape, fillable, occupied, rules, step, threads, kernels);
+    if (shape.size() == 2) return std::make_unique<Core<2>>(shape, fillable, occupied, rules, step, threads, tiles_per_piece, kernels);
+    if (shape.size() == 3) return std::make_unique<Core<3>>(shape, fillable, occupied, rules, step, threads, tiles_per_piece, kernels);
     throw std::invalid_argument("a lattice has two or three axes");
 }
 

@@ -50,10 +50,10 @@ class AutomatonCore {
     virtual Work work() const = 0;
 };
 
-// fillable, occupied: rows of bits as `occupancy` gives them. threads >= 1; isa: "" for the best of this machine.
+// fillable, occupied: rows of bits as `occupancy` gives them. threads, tiles_per_piece (of work) >= 1; isa: "" for the best of this machine.
 std::unique_ptr<AutomatonCore> make_automaton(const std::vector<int64_t>& shape, const uint8_t* fillable,
                                               const uint8_t* occupied, const Rules& rules, int64_t step, int threads,
-                                              const char* isa);
+                                              int64_t tiles_per_piece, const char* isa);
 
 // Names of the instruction sets that this machine can run, the best one last.
 std::vector<const char*> instruction_sets();

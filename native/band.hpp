@@ -227,7 +227,7 @@ class Band {
             rows_beside_[k].resize(n);
             beside_[k] = rows_beside_[k].data();
         }
-        const int parts = pool.threads() == 1 || last - first < kRowsPerPart ? 1 : 4 * pool.threads();
+        const int parts = pool.pieces(n);
         std::vector<Lists> lists(parts);
         pool.each(parts, [&](int i) {
             const int64_t from = first + (last - first) * i / parts, to = first + (last - first) * (i + 1) / parts;
@@ -241,8 +241,6 @@ class Band {
             outer.insert(outer.end(), some.outer.begin(), some.outer.end());
         }
     }
-
-    static constexpr int64_t kRowsPerPart = 64;
 
     struct Lists {
         std::vector<int32_t> active, core, rim, outer;

@@ -28,14 +28,15 @@ struct Automaton {
 
 void construct(Automaton* self, std::vector<int64_t> shape, Bits fillable, Bits occupied, double p_edge, double p_layer,
                int64_t layer_sites, int64_t motility_substeps, bool level_set, double feedback, int64_t min_free_neighbours,
-               uint32_t path_noise, uint64_t seed, int64_t step, int threads, const std::string& isa) {
+               uint32_t path_noise, uint64_t seed, int64_t step, int threads, int64_t tiles_per_piece,
+               const std::string& isa) {
     new (self) Automaton{std::move(shape), nullptr};
-    if (threads < 1) throw nb::value_error("threads must be at least 1");
+    if (threads < 1 || tiles_per_piece < 1) throw nb::value_error("threads and tiles_per_piece must be at least 1");
     for (const Bits& bits : {fillable, occupied})
         if (bits.size() != self->n_bytes()) throw nb::value_error("the packed rows do not fit the shape");
     const Rules rules{p_edge,     p_layer, feedback, layer_sites, motility_substeps, min_free_neighbours, level_set,
                       path_noise, seed};
-    self->core = make_automaton(self->shape, fillable.data(), occupied.data(), rules, step, threads, isa.c_str());
+    self->core = make_automaton(self->shape, fillable.data(), occupied.data(), rules, step, threads, tiles_per_piece, isa.c_str());
 }
 
 nb::object advance(Automaton& self, int64_t n_steps, Field W, double W_ref) {
@@ -77,7 +78,7 @@ void bind_automaton(nb::module_& m) {
         .def("__init__", &construct, nb::arg("shape"), nb::arg("fillable"), nb::arg("occupied"), nb::kw_only(),
              nb::arg("p_edge"), nb::arg("p_layer"), nb::arg("layer_sites"), nb::arg("motility_substeps"),
              nb::arg("level_set"), nb::arg("feedback"), nb::arg("min_free_neighbours"), nb::arg("path_noise"),
-             nb::arg("seed"), nb::arg("step"), nb::arg("threads") = 1, nb::arg("isa") = "")
+             nb::arg("seed"), nb::arg("step"), nb::arg("threads") = 1, nb::arg("tiles_per_piece") = 1024, nb::arg("isa") = "")
         .def("advance", &advance, nb::arg("n_steps"), nb::arg("W"), nb::arg("W_ref"),
              "Do steps; (n_steps, 5) int64: edge divisions, layer divisions, dropped, clamped, cells.")
         .def("occupancy", &occupancy, "The cells as packed rows, (n_bytes,) uint8.")

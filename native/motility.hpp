@@ -62,7 +62,7 @@ class Motility {
     // All sub-steps while the planes they need are in the cache: plane p does sub-step i when plane p + 1 has done i - 1.
     template <class SubStep>
     void in_waves(SubStep&& sub_step) {
-        const std::vector<size_t> cuts = s_.slabs(s_.band.core, kTilesPerWave);
+        const std::vector<size_t> cuts = s_.slabs(s_.band.core, kTilesPerWave, 1);
         const int64_t n = static_cast<int64_t>(cuts.size()) - 1;
         for (int64_t wave = 0; wave < n + s_.rules.substeps - 1; ++wave)
             for (int64_t i = std::max<int64_t>(0, wave - n + 1); i <= std::min(wave, s_.rules.substeps - 1); ++i) {

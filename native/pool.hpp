@@ -1,7 +1,9 @@
 // A few threads that share out numbered pieces of work. What a piece does must not depend on who does it.
 #pragma once
 
+#include <algorithm>
 #include <atomic>
+#include <cstdint>
 #include <condition_variable>
 #include <exception>
 #include <functional>
@@ -13,7 +15,8 @@ namespace cicatrix {
 
 class Pool {
    public:
-    explicit Pool(int threads) {
+    // A piece of work has at least so many tiles: less is not worth a thread's while.
+    Pool(int threads, int64_t tiles_per_piece) : tiles_per_piece_(static_cast<size_t>(tiles_per_piece)) {
         for (int i = 1; i < threads; ++i) workers_.emplace_back([this] { work(); });
     }
 
@@ -30,6 +33,14 @@ class Pool {
     Pool& operator=(const Pool&) = delete;
 
     int threads() const { return static_cast<int>(workers_.size()) + 1; }
+    size_t tiles_per_piece() const { return tiles_per_piece_; }
+    int most_pieces() const { return 4 * threads(); }
+
+    // Into how many pieces n tiles are cut.
+    int pieces(size_t n) const {
+        if (threads() == 1) return 1;
+        return static_cast<int>(std::clamp<size_t>(n / tiles_per_piece_, 1, most_pieces()));
+    }
 
     // Call job(0) .. job(n - 1), each once, and wait for all; the first exception is thrown again here.
     template <class Job>
@@ -83,6 +94,7 @@ class Pool {
         }
     }
 
+    const size_t tiles_per_piece_;
     std::vector<std::thread> workers_;
     std::mutex mutex_;
     std::condition_variable wake_, done_;

@@ -82,13 +82,13 @@ class Routing {
         distance()[site] = static_cast<uint16_t>(kUnit * n_free + cost()[site] - kNoPath);
     }
 
-    // Solve d = cost + least neighbour in the layer. Pieces are slabs of the first axis, so that every other one can be
-    // worked on at once without reading what another writes; the solution is unique, whatever the order.
+    // Solve d = cost + least neighbour in the layer. Pieces are slabs of two planes or more, so that every other one can be
+    // worked on at once: none reads or marks what another writes. The solution is unique, whatever the order.
     void relax_layer() {
         dirty_.assign(s_.band.size() + 2, 0);
         for (int32_t id : layer_.tiles) dirty_[id + 1] = 1;
-        const size_t size = std::max<size_t>(layer_.tiles.size() / (4 * s_.pool.threads()), kTilesPerPiece);
-        const std::vector<size_t> cuts = s_.slabs(layer_.tiles, s_.pool.threads() == 1 ? layer_.tiles.size() : size);
+        const size_t size = layer_.tiles.size() / s_.pool.pieces(layer_.tiles.size());
+        const std::vector<size_t> cuts = s_.slabs(layer_.tiles, std::max<size_t>(size, 1), 2);
         const int n = static_cast<int>(cuts.size()) - 1;
         for (bool changed = true; changed;) {
             std::vector<uint8_t> moved(n, 0);

@@ -12,7 +12,6 @@ namespace cicatrix {
 enum Phase : uint32_t { kEdgeDivision, kMotilityTie, kLayerDivision, kPathCost, kRedistributionTie, kSettle };
 
 constexpr uint32_t kHopCost = 64, kSettleCost = 48;
-constexpr size_t kTilesPerPiece = 1024;  // less is not worth a thread's while
 
 // The band was too narrow for the step to be exact: the step is done again in a wider one.
 struct TooNarrow {};

@@ -21,9 +21,10 @@ class Stage {
     using G = Geometry<D>;
 
    public:
-    Stage(const std::vector<int64_t>& shape, const Rules& the_rules, int64_t first_step, int threads, const Kernels& the_kernels)
+    Stage(const std::vector<int64_t>& shape, const Rules& the_rules, int64_t first_step, int threads,
+          int64_t tiles_per_piece, const Kernels& the_kernels)
         : rows(shape), rules(the_rules), key{static_cast<uint32_t>(rules.seed), static_cast<uint32_t>(rules.seed >> 32)},
-          kernels(the_kernels), by(kernels.dimension[D - 2]), pool(threads), fillable(rows.count() * rows.tiles),
+          kernels(the_kernels), by(kernels.dimension[D - 2]), pool(threads, tiles_per_piece), fillable(rows.count() * rows.tiles),
           occupied(fillable.size()), band(rows), step(first_step) {}
 
     // Sites of the band, in tiles: cells, sites that can be filled, free sites.
@@ -90,8 +91,7 @@ class Stage {
     // Share out 0 .. n - 1: job(piece number, first, last).
     template <class Job>
     void ranges(size_t n, Job&& job) {
-        const size_t most = pool.threads() == 1 ? 1 : most_pieces();
-        const int used = static_cast<int>(std::max<size_t>(1, std::min(most, n / kTilesPerPiece)));
+        const int used = pool.pieces(n);
         pool.each(used, [&](int i) { job(i, n * i / used, n * (i + 1) / used); });
     }
 
@@ -112,7 +112,7 @@ class Stage {
         for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
     }
 
-    int most_pieces() const { return 4 * pool.threads(); }
+    int most_pieces() const { return pool.most_pieces(); }
 
     static void add_sites(int32_t id, uint32_t bits, std::vector<Site>& sites) {
         for (; bits; bits &= bits - 1) sites.push_back(static_cast<Site>(id) * kLanes + __builtin_ctz(bits));
@@ -165,11 +165,14 @@ class Stage {
         return words[number(site) & 3];
     }
 
-    // Cut a list of tiles between planes of the first axis, into parts of at least `size` tiles.
-    std::vector<size_t> slabs(const std::vector<int32_t>& ids, size_t size) const {
+    // Cut a list of tiles between planes of the first axis, into slabs of at least `size` tiles and `planes` planes.
+    std::vector<size_t> slabs(const std::vector<int32_t>& ids, size_t size, int64_t planes) const {
         std::vector<size_t> cuts{0};
-        for (size_t i = 1; i < ids.size(); ++i)
-            if (i - cuts.back() >= size && plane(ids[i]) > plane(ids[i - 1])) cuts.push_back(i);
+        for (size_t i = 1; i < ids.size(); ++i) {
+            const size_t first = cuts.back();
+            const bool is_new_plane = plane(ids[i]) > plane(ids[i - 1]);
+            if (is_new_plane && i - first >= size && plane(ids[i]) - plane(ids[first]) >= planes) cuts.push_back(i);
+        }
         cuts.push_back(ids.size());
         return cuts;
     }

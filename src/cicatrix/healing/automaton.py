@@ -178,6 +178,7 @@ class NativeCore:
         step: int,
         *,
         threads: int = 1,
+        tiles_per_piece: int = 1024,
         isa: str = "",
     ) -> None:
         self.shape = lattice.shape
@@ -197,6 +198,7 @@ class NativeCore:
             seed=seed,
             step=step,
             threads=threads,
+            tiles_per_piece=tiles_per_piece,
             isa=isa,
         )
 
