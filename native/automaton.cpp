@@ -114,7 +114,7 @@ class Core final : public AutomatonCore {
     // ---------------------------------------------------------------- one step
 
     Counts step_within(int64_t reach, bool whole) {
-        s_.is_whole = whole;
+        s_.is_whole = whole, s_.work = Work();
         s_.band.build(front_, reach, core_reach(), whole, s_.pool);
         s_.load();
         Counts counts;

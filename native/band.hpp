@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <stdexcept>
 #include <vector>
 
 #include "kernels.hpp"
@@ -216,10 +217,11 @@ class Band {
 
     void enumerate(int64_t first, int64_t last, Pool& pool) {
         runs_.clear();
-        int32_t n = 0;
+        int64_t n = 0;
         for (int64_t r = first; r < last; ++r) {
             first_run_[r] = static_cast<int32_t>(runs_.size());
             n = find_runs(r, n);
+            if (n >= kMostTiles) throw std::length_error("the front is too large: more than 2^26 tiles of 32 sites");
         }
         first_run_[last] = static_cast<int32_t>(runs_.size());
         word.resize(n), first_site.resize(n), is_active.resize(n), is_frame.resize(n), is_core_or_rim.resize(n);
@@ -242,6 +244,8 @@ class Band {
         }
     }
 
+    static constexpr int64_t kMostTiles = int64_t{1} << 26;  // their sites have 31-bit numbers
+
     struct Lists {
         std::vector<int32_t> active, core, rim, outer;
     };
@@ -255,7 +259,7 @@ class Band {
     }
 
     // Tiles of a row that follow each other, numbered from n; returns the next number.
-    int32_t find_runs(int64_t r, int32_t n) {
+    int64_t find_runs(int64_t r, int64_t n) {
         const uint64_t* bits = stored_.row(r);
         for (int64_t w = 0; w < stored_.words(); ++w) {
             uint64_t left = bits[w];
@@ -269,7 +273,7 @@ class Band {
                 if (goes_on)
                     runs_.back().last += count;
                 else
-                    runs_.push_back({tile, tile + count - 1, n});
+                    runs_.push_back({tile, tile + count - 1, static_cast<int32_t>(n)});
                 n += count;
                 left = first + count >= 64 ? 0 : left & ~uint64_t{0} << (first + count);
             }

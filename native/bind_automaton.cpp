@@ -4,6 +4,8 @@
 #include <nanobind/stl/string.h>
 #include <nanobind/stl/vector.h>
 
+#include <algorithm>
+
 #include "automaton.hpp"
 
 namespace nb = nanobind;
@@ -30,6 +32,8 @@ void construct(Automaton* self, std::vector<int64_t> shape, Bits fillable, Bits 
                int64_t layer_sites, int64_t motility_substeps, bool level_set, double feedback, int64_t min_free_neighbours,
                uint32_t path_noise, uint64_t seed, int64_t step, int threads, int64_t tiles_per_piece,
                const std::string& isa) {
+    if (shape.size() < 2 || shape.size() > 3 || *std::min_element(shape.begin(), shape.end()) < 1)
+        throw nb::value_error("a lattice has two or three axes of at least one site");
     new (self) Automaton{std::move(shape), nullptr};
     if (threads < 1 || tiles_per_piece < 1) throw nb::value_error("threads and tiles_per_piece must be at least 1");
     for (const Bits& bits : {fillable, occupied})
@@ -40,6 +44,7 @@ void construct(Automaton* self, std::vector<int64_t> shape, Bits fillable, Bits 
 }
 
 nb::object advance(Automaton& self, int64_t n_steps, Field W, double W_ref) {
+    if (n_steps < 0) throw nb::value_error("n_steps must be at least 0");
     const bool per_site = W.size() != 1;
     if (per_site && static_cast<int64_t>(W.size()) != self.n_sites())
         throw nb::value_error("W must be one number or one for each site");

@@ -13,7 +13,9 @@ namespace cicatrix {
 constexpr int kLanes = 32;
 constexpr int kMaxRows = 7;
 constexpr uint16_t kFar = 65535;     // no path
-constexpr uint16_t kNoPath = 65520;  // costs from here on belong to sites that no path leads through
+// costs from here on belong to sites that no path leads through: a free site keeps its settling draw there. Where such a sum does not
+// saturate the distance is 65520 or more, and with the cost of any hop it does.
+constexpr uint16_t kNoPath = 65520;
 
 // A step to a neighbour: along the first axis, the second (3-D) and the last.
 struct Direction {

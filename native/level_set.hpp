@@ -28,7 +28,7 @@ class LevelSet {
         for (Wound& wound : wounds_) {
             if (!wound.n_new) continue;
             const int64_t wanted = std::min(wound.n_cells + wound.n_new, wound.n_sites);
-            const auto [level, above] = level_of(wound.histogram, wanted);
+            const auto [level, above] = level_in(wound.histogram, wanted);
             wound.level = level, wound.wanted = wanted - above;
             if (level == 0 && wound.n_far > 0) {
                 s_.too_flat = true;
@@ -46,7 +46,7 @@ class LevelSet {
 
    private:
     // The level that `count` sites reach, and how many lie above it.
-    static std::pair<uint16_t, int64_t> level_of(const std::vector<uint32_t>& histogram, int64_t count) {
+    static std::pair<uint16_t, int64_t> level_in(const std::vector<uint32_t>& histogram, int64_t count) {
         int64_t above = 0;
         for (size_t level = histogram.size(); level-- > 0;) {
             if (above + histogram[level] >= count) return {static_cast<uint16_t>(level), above};

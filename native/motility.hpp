@@ -21,8 +21,9 @@ class Motility {
         const int64_t count = s_.count_bits(s_.band.core, s_.cells());
         if (count == 0) return;
         const uint16_t* u = diffuse();
-        const auto [level, above] = level_of(u, count);
-        if (!s_.is_whole && !(0 < level && level < G::bulk)) {
+        const auto [level, above, reached] = level_of(u, count);
+        const bool keeps_all_bulk = level == G::bulk && reached == count;  // so do the cells beyond the band
+        if (!s_.is_whole && !(0 < level && level < G::bulk) && !keeps_all_bulk) {
             s_.too_flat = true;
             throw TooNarrow();
         }
@@ -93,8 +94,13 @@ class Motility {
         });
     }
 
-    // The level U0 that `count` fillable sites of the core reach, and how many lie above it: by bisection.
-    std::pair<uint16_t, int64_t> level_of(const uint16_t* u, int64_t count) {
+    struct Level {
+        uint16_t level;
+        int64_t above, reached;  // sites above it, sites at it or above
+    };
+
+    // The level U0 that `count` fillable sites of the core reach: by bisection.
+    Level level_of(const uint16_t* u, int64_t count) {
         mixed_.resize(s_.band.core.size());
         int64_t n_bulk = 0;
         mixed_.resize(s_.kernels.mixed(Ids{s_.band.core.data(), s_.band.core.size()}, u, G::bulk, mixed_.data(), &n_bulk));
@@ -105,16 +111,16 @@ class Motility {
             return std::accumulate(parts.begin(), parts.end(), kLanes * n_bulk);
         };
         uint32_t low = 0, high = G::bulk + 1;  // from(low) >= count > from(high)
-        int64_t above = 0;
+        int64_t above = 0, reached = kLanes * static_cast<int64_t>(s_.band.core.size());
         while (high - low > 1) {
             const uint32_t middle = (low + high) / 2;
-            const int64_t reached = from(middle);
-            if (reached >= count)
-                low = middle;
+            const int64_t n = from(middle);
+            if (n >= count)
+                low = middle, reached = n;
             else
-                high = middle, above = reached;
+                high = middle, above = n;
         }
-        return {static_cast<uint16_t>(low), above};
+        return {static_cast<uint16_t>(low), above, reached};
     }
 
     // Cells sit where U > level, and at `wanted` of the sites at the level.

@@ -17,17 +17,15 @@ class Pool {
    public:
     // A piece of work has at least so many tiles: less is not worth a thread's while.
     Pool(int threads, int64_t tiles_per_piece) : tiles_per_piece_(static_cast<size_t>(tiles_per_piece)) {
-        for (int i = 1; i < threads; ++i) workers_.emplace_back([this] { work(); });
+        try {
+            for (int i = 1; i < threads; ++i) workers_.emplace_back([this] { work(); });
+        } catch (...) {
+            stop();
+            throw;
+        }
     }
 
-    ~Pool() {
-        {
-            std::lock_guard<std::mutex> lock(mutex_);
-            stop_ = true;
-        }
-        wake_.notify_all();
-        for (auto& worker : workers_) worker.join();
-    }
+    ~Pool() { stop(); }
 
     Pool(const Pool&) = delete;
     Pool& operator=(const Pool&) = delete;
@@ -66,6 +64,15 @@ class Pool {
 
    private:
     static constexpr int kSpins = 2000;  // pieces are short: sleeping would take longer than they do
+
+    void stop() {
+        {
+            std::lock_guard<std::mutex> lock(mutex_);
+            stop_ = true;
+        }
+        wake_.notify_all();
+        for (auto& worker : workers_) worker.join();
+    }
 
     void share() {
         for (int i = next_.fetch_add(1); i < n_; i = next_.fetch_add(1)) {

@@ -3,7 +3,6 @@
 
 #include <algorithm>
 #include <array>
-#include <stdexcept>
 #include <tuple>
 #include <vector>
 
@@ -30,7 +29,6 @@ class Stage {
     // Sites of the band, in tiles: cells, sites that can be filled, free sites.
     void load() {
         const size_t n = band.size();
-        if (n >= kMostTiles) throw std::length_error("the front is too large: more than 2^26 tiles of 32 sites");
         cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2);
         ranges(n, [&](int, size_t first, size_t last) {
             for (size_t id = first; id < last; ++id) {
@@ -205,8 +203,6 @@ class Stage {
     std::vector<uint32_t> zone[2];
 
    private:
-    static constexpr size_t kMostTiles = size_t{1} << 26;  // their sites have 31-bit numbers
-
     // Where a direction leads from a lane: row offset, tiles to the right, lane there.
     struct Move {
         int8_t row, right, lane;

@@ -258,6 +258,20 @@ class TestLimits:
         with pytest.raises(InputError, match=r"Cue\.W must"):
             automaton.advance(automaton.initial_state(), Cue(bad))
 
+    def test_a_feedback_that_overflows_is_refused(self):
+        automaton = wound(p_layer=0.0, feedback=1e308)
+        with pytest.raises(InputError, match="far too large"):
+            automaton.advance(automaton.initial_state(), Cue(1e308, 1.0))
+
+    def test_a_state_with_a_cell_where_none_can_be_is_refused(self):
+        automaton = wound(fillable=discs((60, 60), [(30, 30)], 25))
+        with pytest.raises(InputError, match="allows none"):
+            automaton.advance(AutomatonState(np.ones((60, 60), bool), 0))
+
+    def test_steps_are_not_negative(self):
+        with pytest.raises(InputError, match="n_steps"):
+            wound().advance(wound().initial_state(), n_steps=-1)
+
     @pytest.mark.parametrize("w_ref", [0.0, -1.0, np.nan])
     def test_bad_reference_energy_is_refused(self, w_ref):
         with pytest.raises(InputError, match="W_ref"):

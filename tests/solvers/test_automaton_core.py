@@ -35,7 +35,7 @@ def random_case(i, size2=110, size3=34):
         p_layer=float(rng.choice([0.0, 0.02, 0.1, 0.5, 1.0])),
         layer_sites=int(rng.choice([0, 1, 3, 8, 12])),
         motility_substeps=n_substeps,
-        redistribution="level-set" if i % 4 == 1 and n_substeps else "route",
+        redistribution="level-set" if n_substeps and rng.random() < 0.4 else "route",
         feedback=float(rng.choice([0.0, 1.0, -2.0])),
         min_free_neighbours=int(rng.integers(1, 4)),
         path_noise=float(rng.choice([0.0, 0.5, 16.0])),
@@ -67,9 +67,9 @@ def test_every_instruction_set_gives_the_bits_of_the_twin(i, isa):
 @pytest.mark.parametrize("threads", [2, 3])
 @pytest.mark.parametrize("i", range(24))
 def test_threads_do_not_change_a_bit(i, threads):
-    """Pieces of work as small as three tiles, so that small lattices are shared out too."""
+    """Pieces of work as small as one tile, so that small lattices are shared out too."""
     automaton, cue = random_case(i)
-    assert_same(*pair(automaton, threads=threads, tiles_per_piece=3), automaton.checked(cue), 6)
+    assert_same(*pair(automaton, threads=threads, tiles_per_piece=1), automaton.checked(cue), 6)
 
 
 @pytest.mark.parametrize("shape", [(700, 900), (90, 90, 90)])
@@ -102,16 +102,62 @@ def test_a_nearly_closed_wound_closes_alike(i):
     assert core.occupancy().all()
 
 
-def test_a_front_that_moves_far_widens_the_band():
+@pytest.mark.parametrize("kinds", [{}, {"threads": 3, "tiles_per_piece": 1}])
+def test_a_front_that_moves_far_widens_the_band(kinds):
     """p = 1 fills many rings in one step; very many sub-steps erase a hole: both leave the first band."""
     lattice = Lattice((200, 200), 0.01, (0.0, 0.0))
     open0 = np.linalg.norm(lattice.positions() - lattice.position(np.array([100, 100])), axis=-1) < 0.6
     full = AutomatonRules(p_edge=1.0, p_layer=1.0, layer_sites=30, motility_substeps=2)
-    assert_same(*pair(Automaton(lattice, np.ones_like(open0), open0, full, 2)), ONE, 2)
+    assert_same(*pair(Automaton(lattice, np.ones_like(open0), open0, full, 2), **kinds), ONE, 2)
     hole = np.zeros_like(open0)
     hole[80, 90] = True
     smooth = AutomatonRules(p_edge=0.0, p_layer=0.0, layer_sites=0, motility_substeps=300)
-    assert_same(*pair(Automaton(lattice, np.ones_like(open0), hole, smooth, 2)), ONE, 1)
+    assert_same(*pair(Automaton(lattice, np.ones_like(open0), hole, smooth, 2), **kinds), ONE, 1)
+
+
+def test_the_last_step_of_a_wound_stays_in_the_band():
+    """Edge division fills the last sites, U is bulk everywhere: the band is enough, and so it is beyond."""
+    lattice = Lattice((500, 500), 0.01, (0.0, 0.0))
+    hole = np.zeros(lattice.shape, bool)
+    hole[250:253, 250:253] = True
+    rules = AutomatonRules(p_edge=1.0, p_layer=0.1, layer_sites=8, motility_substeps=8)
+    core, twin = pair(Automaton(lattice, np.ones_like(hole), hole, rules, 1))
+    for _ in range(20):
+        assert_same(core, twin, ONE, 1)
+        assert core.work["stored_tiles"] < 200
+        if not core.n_open:
+            break
+    assert core.n_open == 0
+
+
+@pytest.mark.parametrize("kinds", [{}, {"threads": 2, "tiles_per_piece": 1}])
+def test_a_pocket_that_no_cell_borders_costs_its_border_only(kinds):
+    lattice = Lattice((300, 300), 0.01, (0.0, 0.0))
+    fillable, pocket = np.ones(lattice.shape, bool), np.zeros(lattice.shape, bool)
+    fillable[100:112, 100:112] = False
+    pocket[103:109, 103:109] = True
+    fillable |= pocket
+    rules = AutomatonRules(p_edge=0.5, p_layer=0.1, layer_sites=6, motility_substeps=8)
+    core, twin = pair(Automaton(lattice, fillable, pocket, rules, 1), **kinds)
+    assert_same(core, twin, ONE, 3)
+    assert core.n_open == 36
+    assert core.work["stored_tiles"] < 200
+
+
+def test_the_compiled_class_refuses_what_it_cannot_hold():
+    none = np.zeros(0, np.uint8)
+    kinds = {"p_edge": 0.1, "p_layer": 0.1, "layer_sites": 1, "motility_substeps": 1, "level_set": False}
+    kinds |= {"feedback": 0.0, "min_free_neighbours": 1, "path_noise": 1, "seed": 1, "step": 0}
+    for shape in ([], [0, 10], [10, 0], [4], [2, 2, 2, 2], [-3, 5]):
+        with pytest.raises(ValueError, match="axes"):
+            native.automaton_core(shape, none, none, **kinds)
+    with pytest.raises(ValueError, match="do not fit"):
+        native.automaton_core([4, 4], none, none, **kinds)
+    core = native.automaton_core([1, 8], np.full(1, 255, np.uint8), np.full(1, 1, np.uint8), **kinds)
+    with pytest.raises(ValueError, match="n_steps"):
+        core.advance(-1, *ONE)
+    with pytest.raises(ValueError, match="threads"):
+        native.automaton_core([1, 8], np.zeros(1, np.uint8), np.zeros(1, np.uint8), **kinds, threads=0)
 
 
 @pytest.mark.parametrize("i", [0, 1, 2, 5])
@@ -138,7 +184,7 @@ def test_rows_are_packed_and_unpacked():
 def test_threads_come_from_the_environment(monkeypatch):
     monkeypatch.setenv("CICATRIX_THREADS", "2")
     assert native.threads() == 2
-    for bad in ("0", "many", "-1"):
+    for bad in ("0", "many", "-1", "99999999999"):
         monkeypatch.setenv("CICATRIX_THREADS", bad)
         with pytest.raises(InputError, match="CICATRIX_THREADS"):
             native.threads()

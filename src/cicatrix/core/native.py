@@ -13,6 +13,8 @@ from types import ModuleType
 from . import philox
 from .errors import InputError
 
+MOST_THREADS = 256
+
 
 def _compiled() -> ModuleType | None:
     """Return the compiled module, or None where it was not built or is switched off."""
@@ -46,6 +48,6 @@ def instruction_sets() -> list[str]:
 def threads() -> int:
     """Threads of the compiled kernels: ``CICATRIX_THREADS``, or 1."""
     text = os.environ.get("CICATRIX_THREADS", "1")
-    if not text.isdecimal() or int(text) < 1:
-        raise InputError(f"CICATRIX_THREADS must be a whole number of at least 1; got {text}")
+    if not text.isdecimal() or not 1 <= int(text) <= MOST_THREADS:
+        raise InputError(f"CICATRIX_THREADS must be a whole number from 1 to {MOST_THREADS}; got {text}")
     return int(text)

@@ -108,6 +108,16 @@ class Lattice:
         """Positions of all sites: (*shape, n) [mm]."""
         return self.position(np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), axis=-1))
 
+    def near_middle(self, radius_mm: float) -> np.ndarray:
+        """Sites nearer to the middle of the block than a radius, found row by row: bool array of the lattice's shape."""
+        middle = self.position((np.array(self.shape) - 1) / 2)
+        along = np.arange(self.shape[-1])[:, None] * self.basis_mm[-1]
+        out = np.zeros(self.shape, bool)
+        for row in np.ndindex(self.shape[:-1]):
+            start = self.position(np.array([*row, 0])) - middle
+            out[row] = ((start + along) ** 2).sum(axis=1) < radius_mm**2
+        return out
+
     def index(self, points_mm: np.ndarray) -> np.ndarray:
         """Fractional site indices: points (..., n) [mm] -> (..., n) [1]."""
         return (np.asarray(points_mm, float) - np.asarray(self.origin_mm)) @ np.linalg.inv(self.basis_mm)

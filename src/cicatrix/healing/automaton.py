@@ -125,6 +125,8 @@ class Automaton:
         InvariantError
             If cells were lost or doubled (a fault of the program).
         """
+        if n_steps < 0:
+            raise InputError(f"n_steps must be at least 0; got {n_steps}")
         core = self.core(state)
         counts = core.advance(n_steps, *self.checked(cue or Cue()))
         last = counts[-1, :4].tolist() if n_steps else ()
@@ -142,6 +144,8 @@ class Automaton:
         """
         if state.occupancy.shape != self.lattice.shape:
             raise InputError(f"the state's lattice {state.occupancy.shape} is not the automaton's {self.lattice.shape}")
+        if (state.occupancy & ~self.fillable).any():
+            raise InputError("the state holds a cell where the automaton's fillable allows none")
         arguments = (self.lattice, self.fillable, state.occupancy, self.rules, self.seed, state.step)
         if not native.is_native:
             return TwinCore(*arguments)
@@ -162,6 +166,11 @@ class Automaton:
             raise InputError("Cue.W must be finite at every site; it holds NaN or infinity")
         if not (np.isfinite(cue.W_ref) and cue.W_ref > 0):
             raise InputError(f"Cue.W_ref must be positive (kPa); got {cue.W_ref}")
+        with np.errstate(over="ignore"):
+            if not np.isfinite(self.rules.feedback * w / cue.W_ref).all():
+                raise InputError(
+                    "the feedback F = feedback W / W_ref must be finite: feedback or Cue.W is far too large"
+                )
         return np.ascontiguousarray(w).reshape(-1), float(cue.W_ref)
 
 
@@ -206,6 +215,16 @@ class NativeCore:
     def step(self) -> int:
         """Steps done."""
         return self._cells.step
+
+    @property
+    def n_open(self) -> int:
+        """Sites that can be filled and are not."""
+        return self._cells.n_open
+
+    @property
+    def work(self) -> dict[str, int]:
+        """What the last step had to look at (tiles, sites), and the bytes held."""
+        return self._cells.work
 
     def occupancy(self) -> np.ndarray:
         """Sites that hold a cell: bool array of the lattice's shape."""

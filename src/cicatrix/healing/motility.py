@@ -52,7 +52,8 @@ def _sum_of_neighbours(u: np.ndarray, shifts: np.ndarray, reach: int) -> np.ndar
 def move(window: Window, occupied: np.ndarray, n_substeps: int, seed: int, step: int) -> tuple[np.ndarray, bool]:
     """Motility step: (size,) bool -> (size,) bool with the same number of cells, and whether the window sufficed.
 
-    It did if it is the whole lattice or 0 < U0 < bulk; if it did not, the answer is worthless and the caller widens.
+    It did if it is the whole lattice, if 0 < U0 < bulk, or if U0 = bulk and all sites at bulk are kept, as those beyond
+    the window are. If it did not, the answer is worthless and the caller widens.
     """
     candidates, count = np.flatnonzero(window.fillable), int(np.count_nonzero(occupied))
     if n_substeps == 0 or count == 0:
@@ -61,7 +62,9 @@ def move(window: Window, occupied: np.ndarray, n_substeps: int, seed: int, step:
     level, kept = largest(window, u, candidates, count, seed, step, Phase.MOTILITY_TIE)
     moved = np.zeros_like(occupied)
     moved[kept] = True
-    return moved, window.is_whole or 0 < level < BULK[window.lattice.ndim]
+    bulk = BULK[window.lattice.ndim]
+    keeps_all_bulk = level == bulk and np.count_nonzero(u == bulk) == count
+    return moved, window.is_whole or 0 < level < bulk or keeps_all_bulk
 
 
 def largest(

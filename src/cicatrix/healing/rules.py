@@ -55,6 +55,7 @@ class AutomatonRules:
         for name, low in (("layer_sites", 0), ("motility_substeps", 0), ("min_free_neighbours", 1)):
             value = getattr(self, name)
             _require(float(value).is_integer() and value >= low, f"{name} must be a whole number >= {low}", value)
+            object.__setattr__(self, name, int(value))
         known = " or ".join(f'"{name}"' for name in REDISTRIBUTIONS)
         _require(self.redistribution in REDISTRIBUTIONS, f"redistribution must be {known}", self.redistribution)
         _require(np.isfinite(self.feedback), "feedback must be finite", self.feedback)

@@ -9,14 +9,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..core import native
-from ..healing.automaton import Automaton, AutomatonState, pack_rows, unpack_rows
+from ..core.errors import InputError
+from ..healing.automaton import Automaton, AutomatonState, NativeCore, pack_rows, unpack_rows
+from ..healing.twin import TwinCore
 from ..study.automaton_case import AutomatonCase, automaton_of, cue_of
 from .figures_automaton import closure_figure
 from .progress import Progress
 from .results import Quantity, RunFolder
 
-BATCH = 10  # steps between two looks
-CHECKPOINT_EVERY = 100  # steps
+CHECKPOINT_SECONDS = 10.0  # between two checkpoints; one more when the run is interrupted
 FRONTS_EVERY = 0.1  # of the wound closed, between two fronts of the picture
 
 
@@ -30,27 +31,58 @@ class AutomatonRun:
     fronts: list[np.ndarray] = field(default_factory=list)  # occupancies as rows of bits
     steps_of_fronts: list[int] = field(default_factory=list)
     seconds: float = 0.0
+    last_row: int = 0
+    saved: float = field(default_factory=time.perf_counter)
 
     def go(self) -> str:
         """Run to closure or to the last step; returns the sentence that ends the run."""
         with self.progress.stage("lattice"):
-            automaton = automaton_of(self.case)
-            cue = automaton.checked(cue_of(self.case))
-            state = self._start(automaton)
+            try:
+                automaton = automaton_of(self.case)
+                cue = automaton.checked(cue_of(self.case))
+                state = self._start(automaton)
+                core = automaton.core(state)
+            except MemoryError:
+                raise InputError(
+                    f"lattice.size {list(self.case.lattice.size)} does not fit into this machine's memory"
+                ) from None
             self.folder.note(_how())
-        core, n_open0 = automaton.core(state), int(np.count_nonzero(automaton.open0))
-        n_open = int(np.count_nonzero(automaton.fillable)) - state.n_cells
+        n_fillable, n_open0 = int(np.count_nonzero(automaton.fillable)), int(np.count_nonzero(automaton.open0))
+        n_open = n_fillable - state.n_cells
         with self.progress.stage("heal"):
-            while n_open and core.step < self.case.run.max_steps:
-                n_steps = min(BATCH, self.case.run.max_steps - core.step)
-                started, first = time.perf_counter(), core.step + 1
-                counts = core.advance(n_steps, *cue)
-                self.seconds += time.perf_counter() - started
-                n_open = self._record(automaton, first, counts, n_open0)
-                self.progress.update(1.0 - n_open / n_open0, f"step {core.step}")
-                self._keep(automaton, core, 1.0 - n_open / n_open0)
+            try:
+                while n_open and core.step < self.case.run.max_steps:
+                    n_open = self._step(core, cue, n_fillable, n_open0)
+            except KeyboardInterrupt:
+                self._save(core)
+                raise
         with self.progress.stage("outcome"):
             return self._finish(automaton, core, n_open)
+
+    def _step(self, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float], n_fillable: int, n_open0: int) -> int:
+        """Do a step and write its row; returns the sites that are open after it."""
+        started = time.perf_counter()
+        ((n_edge, n_layer, _, _, n_cells),) = core.advance(1, *cue).tolist()
+        self.seconds += time.perf_counter() - started
+        n_open = n_fillable - n_cells
+        closed = 1.0 - n_open / n_open0
+        self.folder.record(_row(core.step, n_cells, n_open, closed, n_edge, n_layer))
+        self.last_row = core.step
+        if n_open and closed >= len(self.fronts) * FRONTS_EVERY:
+            self.fronts.append(pack_rows(core.occupancy()))
+            self.steps_of_fronts.append(core.step)
+        if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
+            self._save(core)
+        self.progress.update(closed, f"step {core.step}")
+        return n_open
+
+    def _save(self, core: NativeCore | TwinCore) -> None:
+        """Keep a checkpoint of the last step whose row is written."""
+        self.saved = time.perf_counter()
+        if core.step == self.last_row:
+            arrays = {"occupancy": pack_rows(core.occupancy()), "fronts": np.array(self.fronts)}
+            scalars = {"step": core.step, "steps_of_fronts": self.steps_of_fronts, "seconds": self.seconds}
+            self.folder.save_checkpoint(core.step, arrays, scalars)
 
     def _start(self, automaton: Automaton) -> AutomatonState:
         kept = self.folder.checkpoint
@@ -61,31 +93,10 @@ class AutomatonRun:
             self.folder.record(_row(0, state.n_cells, n_open, 0.0, 0, 0))
             return state
         self.fronts, self.steps_of_fronts = list(kept.arrays["fronts"]), kept.scalars["steps_of_fronts"]
-        self.seconds = kept.scalars["seconds"]
+        self.seconds, self.last_row = kept.scalars["seconds"], kept.scalars["step"]
         return AutomatonState(unpack_rows(kept.arrays["occupancy"], automaton.lattice.shape), kept.scalars["step"])
 
-    def _record(self, automaton: Automaton, first: int, counts: np.ndarray, n_open0: int) -> int:
-        """Write a row per step, up to the one that closes the wound; returns the sites that are open after it."""
-        n_fillable, n_open = int(np.count_nonzero(automaton.fillable)), 0
-        for step, (n_edge, n_layer, _, _, n_cells) in enumerate(counts.tolist(), start=first):
-            n_open = n_fillable - n_cells
-            self.folder.record(_row(step, n_cells, n_open, 1.0 - n_open / n_open0, n_edge, n_layer))
-            if n_open == 0:
-                break
-        return n_open
-
-    def _keep(self, automaton: Automaton, core, closed: float) -> None:
-        """Keep a front for the picture, and a checkpoint now and then."""
-        wanted = len(self.fronts) * FRONTS_EVERY
-        if closed >= wanted and closed < 1.0:
-            self.fronts.append(pack_rows(core.occupancy()))
-            self.steps_of_fronts.append(core.step)
-        if core.step % CHECKPOINT_EVERY == 0:
-            arrays = {"occupancy": pack_rows(core.occupancy()), "fronts": np.array(self.fronts)}
-            scalars = {"step": core.step, "steps_of_fronts": self.steps_of_fronts, "seconds": self.seconds}
-            self.folder.save_checkpoint(core.step, arrays, scalars)
-
-    def _finish(self, automaton: Automaton, core, n_open: int) -> str:
+    def _finish(self, automaton: Automaton, core: NativeCore | TwinCore, n_open: int) -> str:
         history = self.folder.history()
         last, occupancy = int(history["step"][-1]), core.occupancy()
         closed = last if n_open == 0 else None

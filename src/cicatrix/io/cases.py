@@ -164,6 +164,7 @@ def _locate(raw: dict[str, Any], files: Sequence[tuple[str, str]], folder: Path)
             try:
                 table[key] = input_path(table[key], folder)
             except InputError as error:
+                table[key] = Path(table[key])  # one fault is enough
                 faults.append(f"{name}.{key} {error}")
     return raw, faults
 

@@ -82,8 +82,8 @@ def _radius(lattice: Lattice, n_open: np.ndarray) -> np.ndarray:
 
 
 def _speed(ax: Axes, step: np.ndarray, radius: np.ndarray) -> None:
-    """Speed of the front over pieces of 5 % of the first radius."""
-    marks = radius[0] * np.arange(1.0, 0.0, -0.05)
+    """Speed of the front over pieces of 5 % of the first radius, down to a tenth of it: the last sites have no radius."""
+    marks = radius[0] * np.arange(1.0, 0.09, -0.05)
     at = np.interp(-marks, -radius, step) if len(step) > 1 else np.zeros(0)
     reached = at < step[-1]
     if reached.sum() > 1:

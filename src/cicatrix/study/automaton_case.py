@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, model_validator
+from pydantic_core import PydanticCustomError
 
 from ..core.errors import InputError
 from ..core.units import mm_from_um
@@ -15,9 +17,10 @@ from ..healing.automaton import Automaton
 from ..healing.model import Cue
 from ..healing.rules import AutomatonRules
 from .case import Table
-from .limits import Integer, NotNegative, Number, Positive, Probability, fault, limits
+from .limits import OUT_OF_RANGE, Integer, NotNegative, Number, Positive, Probability, fault, limits
 
 DIMENSIONS = {"hex": 2, "fcc": 3}
+NEIGHBOURS = {"hex": 6, "fcc": 12}
 Whole = Annotated[Integer, limits(least=0)]
 Size = Annotated[Integer, limits(least=1)]
 
@@ -27,7 +30,7 @@ class LatticeTable(Table):
 
     type: Literal["hex", "fcc"] = "hex"
     size: tuple[Size, ...] = (512, 512)
-    pitch_um: Positive = 10.0
+    pitch_um: Annotated[Number, limits(least=1e-3, most=1e6)] = 10.0
     fillable: Path | None = None  # .npy: sites that may ever hold a cell; all without it
 
     @model_validator(mode="after")
@@ -62,7 +65,7 @@ class Rules(Table):
     motility_substeps: Annotated[Integer, limits(least=0, most=4096)] = 8
     redistribution: Literal["route", "level-set"] = "route"
     feedback: Number = 0.0
-    contact_inhibition: Annotated[Integer, limits(least=0, most=12)] = 1
+    contact_inhibition: Annotated[Integer, limits(least=1, most=12)] = 1
     path_noise: Annotated[NotNegative, limits(most=16.0)] = 0.5
 
     @model_validator(mode="after")
@@ -72,11 +75,18 @@ class Rules(Table):
         return self
 
 
+def _number_or_file(value: object) -> object:
+    is_number = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    if isinstance(value, Path) or is_number:
+        return value
+    raise PydanticCustomError(OUT_OF_RANGE, "{words}", {"words": "must be a finite number or the name of a .npy file"})
+
+
 class CueTable(Table):
     """Strain energy density that the cells feel [kPa]: one number, or an array on the lattice."""
 
     W_ref: Positive = 1.0
-    W: Annotated[Number | Path, Field(union_mode="left_to_right")] = 0.0
+    W: Annotated[float | Path, BeforeValidator(_number_or_file)] = 0.0
 
 
 class Run(Table):
@@ -101,6 +111,12 @@ class AutomatonCase(Table):
         fitting = {"hex": "disc", "fcc": "ball"}[self.lattice.type]
         if self.wound.shape not in (None, fitting):
             raise fault("wound.shape", f'must be "{fitting}" on a lattice of type "{self.lattice.type}"')
+        most, given = NEIGHBOURS[self.lattice.type], self.rules.contact_inhibition
+        if given > most:
+            raise fault(
+                "rules.contact_inhibition",
+                f'must be at most {most} on a lattice of type "{self.lattice.type}"; got {given}',
+            )
         return self
 
 
@@ -128,7 +144,7 @@ def automaton_of(case: AutomatonCase) -> Automaton:
         motility_substeps=r.motility_substeps,
         redistribution=r.redistribution,
         feedback=r.feedback,
-        min_free_neighbours=max(1, r.contact_inhibition),
+        min_free_neighbours=r.contact_inhibition,
         path_noise=r.path_noise,
     )
     return Automaton(lattice, fillable, open0, rules, case.run.seed)
@@ -160,22 +176,13 @@ def _open_sites(case: AutomatonCase, lattice: Lattice) -> np.ndarray:
     if case.wound.mask is not None:
         return _read_mask(case.wound.mask, "wound.mask", lattice)
     radius, largest = case.wound.radius_um or 0.0, inradius_um(lattice)
+    if largest <= 0.0:
+        raise InputError(f"lattice.size must hold a wound and cells around it; {list(lattice.shape)} is a single row")
     if radius > largest:
         raise InputError(
             f"wound.radius_um must be at most {largest:.0f}, or the wound is larger than the lattice; got {radius:g}"
         )
-    return _ball(lattice, mm_from_um(radius))
-
-
-def _ball(lattice: Lattice, radius_mm: float) -> np.ndarray:
-    """Sites nearer to the middle than a radius, row by row: bool array of the lattice's shape."""
-    middle = lattice.position((np.array(lattice.shape) - 1) / 2)
-    out = np.zeros(lattice.shape, bool)
-    along = np.arange(lattice.shape[-1])[:, None] * lattice.basis_mm[-1]
-    for row in np.ndindex(lattice.shape[:-1]):
-        start = lattice.position(np.array([*row, 0])) - middle
-        out[row] = ((start + along) ** 2).sum(axis=1) < radius_mm**2
-    return out
+    return lattice.near_middle(mm_from_um(radius))
 
 
 def _read_array(path: Path, key: str) -> np.ndarray:
