@@ -265,9 +265,7 @@ constexpr int kCalls = 8;
 inline Lanes load_calls(const uint64_t* p) {
     return _mm512_permutexvar_epi64(_mm512_setr_epi64(0, 4, 1, 5, 2, 6, 3, 7), _mm512_loadu_si512(p));
 }
-inline Lanes calls_from(uint64_t first) {
-    return _mm512_add_epi64(_mm512_set1_epi64(static_cast<long long>(first)), _mm512_setr_epi64(0, 4, 1, 5, 2, 6, 3, 7));
-}
+inline Lanes plus(Lanes a, uint64_t x) { return _mm512_add_epi64(a, _mm512_set1_epi64(static_cast<long long>(x))); }
 inline Lanes all(uint32_t x) { return _mm512_set1_epi64(x); }
 inline Lanes times(Lanes a, Lanes b) { return _mm512_mul_epu32(a, b); }
 inline Lanes high(Lanes a) { return _mm512_srli_epi64(a, 32); }
@@ -284,9 +282,7 @@ constexpr int kCalls = 4;
 inline Lanes load_calls(const uint64_t* p) {
     return _mm256_permute4x64_epi64(_mm256_loadu_si256(reinterpret_cast<const Lanes*>(p)), 0xD8);
 }
-inline Lanes calls_from(uint64_t first) {
-    return _mm256_add_epi64(_mm256_set1_epi64x(static_cast<long long>(first)), _mm256_setr_epi64x(0, 2, 1, 3));
-}
+inline Lanes plus(Lanes a, uint64_t x) { return _mm256_add_epi64(a, _mm256_set1_epi64x(static_cast<long long>(x))); }
 inline Lanes all(uint32_t x) { return _mm256_set1_epi64x(x); }
 inline Lanes times(Lanes a, Lanes b) { return _mm256_mul_epu32(a, b); }
 inline Lanes high(Lanes a) { return _mm256_srli_epi64(a, 32); }
@@ -301,9 +297,7 @@ inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
 using Lanes = __m128i;
 constexpr int kCalls = 2;
 inline Lanes load_calls(const uint64_t* p) { return _mm_loadu_si128(reinterpret_cast<const Lanes*>(p)); }
-inline Lanes calls_from(uint64_t first) {
-    return _mm_add_epi64(_mm_set1_epi64x(static_cast<long long>(first)), _mm_set_epi64x(1, 0));
-}
+inline Lanes plus(Lanes a, uint64_t x) { return _mm_add_epi64(a, _mm_set1_epi64x(static_cast<long long>(x))); }
 inline Lanes all(uint32_t x) { return _mm_set1_epi64x(x); }
 inline Lanes times(Lanes a, Lanes b) { return _mm_mul_epu32(a, b); }
 inline Lanes high(Lanes a) { return _mm_srli_epi64(a, 32); }
@@ -319,7 +313,7 @@ inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
 using Lanes = uint64_t;
 constexpr int kCalls = 1;
 inline Lanes load_calls(const uint64_t* p) { return *p; }
-inline Lanes calls_from(uint64_t first) { return first; }
+inline Lanes plus(Lanes a, uint64_t x) { return a + x; }
 #endif
 
 inline void calls(Lanes c0, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
@@ -348,24 +342,45 @@ void philox(const uint64_t* group, size_t n, uint32_t step, uint32_t phase, cons
                      out + 4 * i);
 }
 
-// The words of a tile's sites, in the order of its lanes.
-inline void words_of(int32_t id, const Draw& draw, uint32_t* words) {
-    constexpr int most = 3;  // calls for eight sites that follow each other
-    uint64_t group[kLines * most + 4];
-    uint32_t buffer[4 * (kLines * most + 8)];
-    const int64_t first = draw.first_site[id];
-    bool aligned = (first & 3) == 0;
-    for (int64_t line : draw.line) aligned &= (line & 3) == 0;
-    const int per_line = aligned ? 2 : most, n = kLines * per_line;
-    for (int i = 0; i < kLines; ++i)
-        for (int j = 0; j < per_line; ++j) group[i * per_line + j] = (static_cast<uint64_t>(first + draw.line[i]) >> 2) + j;
-    for (int i = n; i < kLines * most + 4; ++i) group[i] = 0;
-    uint32_t* out = aligned ? words : buffer;
-    for (int i = 0; i < n; i += kCalls) calls(load_calls(group + i), draw.step, draw.phase, draw.key, out + 4 * i);
-    if (aligned) return;
-    for (int i = 0; i < kLines; ++i)
-        std::memcpy(words + kPlaces * i, buffer + 4 * most * i + ((first + draw.line[i]) & 3), 4 * kPlaces);
-}
+// The words of a tile's sites, in the order of its lanes. Where every line begins with the first of the four sites of a call,
+// eight calls give them all; else three calls for each line, of which some words are not used.
+class TileWords {
+   public:
+    explicit TileWords(const Draw& draw) : draw_(draw) {
+        uint64_t group[kTileCalls];
+        for (int i = 0; i < kTileCalls; ++i) {
+            const int64_t line = draw.line[i / 2];
+            lines_aligned_ &= (line & 3) == 0;
+            group[i] = static_cast<uint64_t>(line >> 2) + i % 2;
+        }
+        for (int i = 0; i < kTileCalls; i += kCalls) group_[i / kCalls] = load_calls(group + i);
+    }
+
+    void get(int32_t id, uint32_t* words) const {
+        const int64_t first = draw_.first_site[id];
+        if (!lines_aligned_ || (first & 3)) return get_unaligned(first, words);
+        for (int i = 0; i < kTileCalls; i += kCalls)
+            calls(plus(group_[i / kCalls], static_cast<uint64_t>(first >> 2)), draw_.step, draw_.phase, draw_.key, words + 4 * i);
+    }
+
+   private:
+    static constexpr int kTileCalls = kLanes / 4, kLineCalls = 3;
+
+    void get_unaligned(int64_t first, uint32_t* words) const {
+        constexpr int n = kLines * kLineCalls, most = (n + kCalls - 1) / kCalls * kCalls;
+        uint64_t group[most] = {};
+        uint32_t buffer[4 * most];
+        for (int i = 0; i < n; ++i)
+            group[i] = (static_cast<uint64_t>(first + draw_.line[i / kLineCalls]) >> 2) + i % kLineCalls;
+        for (int i = 0; i < n; i += kCalls) calls(load_calls(group + i), draw_.step, draw_.phase, draw_.key, buffer + 4 * i);
+        for (int i = 0; i < kLines; ++i)
+            std::memcpy(words + kPlaces * i, buffer + 4 * kLineCalls * i + ((first + draw_.line[i]) & 3), 4 * kPlaces);
+    }
+
+    const Draw& draw_;
+    bool lines_aligned_ = true;
+    Lanes group_[kTileCalls / kCalls];
+};
 
 // Bit j: word j is below the bound.
 inline uint32_t bits_below(const uint32_t* word, uint32_t bound) {
@@ -401,21 +416,23 @@ inline U16 scaled(const uint32_t* word, uint32_t n) {
 }
 
 void draw(Ids ids, Draw draw, const uint32_t* mask, uint64_t limit, uint32_t* hit) {
+    const TileWords tile_words(draw);
     const bool always = limit > 0xFFFFFFFFu;
     const uint32_t bound = static_cast<uint32_t>(limit);
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         uint32_t word[kLanes];
-        words_of(id, draw, word);
+        tile_words.get(id, word);
         hit[id] = (always ? ~0u : bits_below(word, bound)) & mask[id];
     }
 }
 
 void random_values(Ids ids, Draw draw, const uint32_t* mask, uint16_t base, uint32_t n, uint16_t* out) {
+    const TileWords tile_words(draw);
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         uint32_t word[kLanes];
-        words_of(id, draw, word);
+        tile_words.get(id, word);
         const U16 meant = lanes_of(mask[id]), value = scaled(word, n) + fill(base);
         uint16_t* here = out + kLanes * size_t(id);
         store(here, (meant & value) | (~meant & load(here)));

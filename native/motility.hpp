@@ -140,7 +140,7 @@ class Motility {
     static constexpr size_t kTilesPerWave = 64;  // some of them fit into the first cache, with all their sub-steps
 
     Stage<D>& s_;
-    std::vector<uint16_t> density_[2], own_;
+    Values density_[2], own_;
     std::vector<uint8_t> plain_;
     std::vector<int32_t> mixed_;
     std::vector<uint32_t> above_, equal_;

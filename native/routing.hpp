@@ -190,7 +190,7 @@ class Routing {
 
     Stage<D>& s_;
     Layer& layer_;
-    std::vector<uint16_t> cost_, distance_;
+    Values cost_, distance_;
     std::vector<uint8_t> dirty_;
     std::vector<uint32_t> stamp_;
     uint32_t generation_ = 0;

@@ -3,6 +3,7 @@
 
 #include <cmath>
 #include <cstdint>
+#include <new>
 #include <vector>
 
 #include "kernels.hpp"
@@ -28,6 +29,25 @@ inline int popcount(uint32_t x) {  // the baseline of x86-64 has no instruction 
 }
 
 using Site = uint32_t;  // id * 32 + lane
+
+// Memory that begins where a cache line does, so that no tile lies across two.
+template <class T>
+struct LineAllocator {
+    using value_type = T;
+    static constexpr std::align_val_t line{64};
+
+    LineAllocator() = default;
+    template <class U>
+    LineAllocator(const LineAllocator<U>&) {}
+    T* allocate(size_t n) { return static_cast<T*>(::operator new(n * sizeof(T), line)); }
+    void deallocate(T* p, size_t) { ::operator delete(p, line); }
+    template <class U>
+    bool operator==(const LineAllocator<U>&) const { return true; }
+    template <class U>
+    bool operator!=(const LineAllocator<U>&) const { return false; }
+};
+
+using Values = std::vector<uint16_t, LineAllocator<uint16_t>>;  // 32 of each tile
 
 // One random word per site of a list, four sites to a call of the generator.
 class Words {
