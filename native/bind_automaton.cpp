@@ -19,6 +19,7 @@ using Field = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 struct Automaton {
     std::vector<int64_t> shape;
     std::unique_ptr<AutomatonCore> core;
+    std::vector<int64_t> last{};  // row of the last step
 
     int64_t n_sites() const {
         int64_t n = 1;
@@ -54,8 +55,8 @@ nb::object advance(Automaton& self, int64_t n_steps, Field W, double W_ref) {
         nb::gil_scoped_release release;
         for (int64_t i = 0; i < n_steps; ++i) {
             const Counts c = self.core->advance(W.data(), per_site, W_ref);
-            const int64_t row[5] = {c.edge, c.layer, c.dropped, c.clamped, self.core->n_cells()};
-            std::copy(row, row + 5, counts + 5 * i);
+            self.last = {c.edge, c.layer, c.dropped, c.clamped, self.core->n_cells()};
+            std::copy(self.last.begin(), self.last.end(), counts + 5 * i);
         }
     }
     return nb::cast(nb::ndarray<nb::numpy, int64_t, nb::ndim<2>>(counts, {static_cast<size_t>(n_steps), 5}, owner));
@@ -86,6 +87,7 @@ void bind_automaton(nb::module_& m) {
              nb::arg("seed"), nb::arg("step"), nb::arg("threads") = 1, nb::arg("tiles_per_piece") = 1024, nb::arg("isa") = "")
         .def("advance", &advance, nb::arg("n_steps"), nb::arg("W"), nb::arg("W_ref"),
              "Do steps; (n_steps, 5) int64: edge divisions, layer divisions, dropped, clamped, cells.")
+        .def_prop_ro("last", [](const Automaton& a) { return a.last; }, "What the last step gave, as a row of advance.")
         .def("occupancy", &occupancy, "The cells as packed rows, (n_bytes,) uint8.")
         .def_prop_ro("n_cells", [](const Automaton& a) { return a.core->n_cells(); })
         .def_prop_ro("n_open", [](const Automaton& a) { return a.core->n_open(); })

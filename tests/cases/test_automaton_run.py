@@ -11,6 +11,8 @@ from cicatrix.cli.main import main
 from cicatrix.core import native
 from cicatrix.core.errors import InputError
 from cicatrix.geometry.hexgrid import Lattice
+from cicatrix.healing.automaton import NativeCore
+from cicatrix.healing.twin import TwinCore
 from cicatrix.io.cases import check_case, load_case
 from cicatrix.io.progress import Progress
 from cicatrix.study.automaton_case import automaton_of, inradius_um
@@ -104,6 +106,28 @@ def test_stopped_and_resumed_is_uninterrupted(case_file, tmp_path, monkeypatch):
         assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes()
     same = "steps_to_closure", "occupancy_sha256"
     assert all(resumed.outcome[name] == straight.outcome[name] for name in same)
+
+
+def test_an_interruption_between_a_step_and_its_row_loses_nothing(case_file, tmp_path, monkeypatch):
+    """A signal comes when the compiled step returns: the row is written from what the core remembers."""
+    case = load_case(case_file(DISC), ["run.max_steps=40"])
+    straight = cicatrix.simulate(case, tmp_path / "straight")
+    advance = NativeCore.advance if native.is_native else TwinCore.advance
+
+    def interrupted(self, *arguments):
+        rows = advance(self, *arguments)
+        if self.step == 25:
+            raise KeyboardInterrupt
+        return rows
+
+    with monkeypatch.context() as patch:
+        patch.setattr(NativeCore if native.is_native else TwinCore, "advance", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            cicatrix.simulate(case, tmp_path / "stopped")
+    resumed = cicatrix.simulate(case, tmp_path / "stopped", resume=True)
+    assert any("Resumed after cycle 25" in note for note in resumed.manifest["notes"])
+    assert (tmp_path / "stopped" / "history.csv").read_bytes() == (tmp_path / "straight" / "history.csv").read_bytes()
+    assert resumed.outcome["occupancy_sha256"] == straight.outcome["occupancy_sha256"]
 
 
 def test_masks_and_energies_from_files(case_file, tmp_path):

@@ -7,11 +7,12 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
-from ..image.segment import Segmentation, segment
-from ..io.figures_image import draw_preview
-from ..io.images import read_image, write_volume
+
+if TYPE_CHECKING:
+    from ..image.segment import Segmentation
 
 
 def add_parser(subparsers: argparse._SubParsersAction) -> None:
@@ -43,6 +44,9 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Segment and write; the folder appears only when everything in it is whole. Returns the exit code."""
+    from ..image.segment import segment  # only this verb needs them, and they take a second to load
+    from ..io.images import read_image
+
     out: Path = args.out
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
         raise InputError(f"--out: {out.name} already holds something; give a new or empty folder.")
@@ -67,6 +71,9 @@ def run(args: argparse.Namespace) -> int:
 
 def _write(out: Path, image, found: Segmentation) -> None:
     """Write beside the target, then rename."""
+    from ..io.figures_image import draw_preview
+    from ..io.images import write_volume
+
     out.parent.mkdir(parents=True, exist_ok=True)
     half = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     try:

@@ -217,6 +217,11 @@ class NativeCore:
         return self._cells.step
 
     @property
+    def last(self) -> list[int]:
+        """What the last step gave, as a row of ``advance``; empty before the first."""
+        return self._cells.last
+
+    @property
     def n_open(self) -> int:
         """Sites that can be filled and are not."""
         return self._cells.n_open

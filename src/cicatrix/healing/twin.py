@@ -38,6 +38,7 @@ class TwinCore:
     ) -> None:
         self.lattice, self.fillable, self.rules, self.seed = lattice, fillable, rules, seed
         self._occupancy, self.step = occupancy.copy(), step
+        self.last: list[int] = []  # what the last step gave, as a row of ``advance``
 
     def occupancy(self) -> np.ndarray:
         """Sites that hold a cell: bool array of the lattice's shape."""
@@ -77,7 +78,7 @@ class TwinCore:
                 f"the automaton lost or doubled cells at step {self.step}: {n_cells} cells where "
                 f"{n_before + counts[0] + counts[1]} belong"
             )
-        self.step += 1
+        self.step, self.last = self.step + 1, [*counts, n_cells]
         return (*counts, n_cells)
 
     @property

@@ -54,6 +54,8 @@ class AutomatonRun:
                 while n_open and core.step < self.case.run.max_steps:
                     n_open = self._step(core, cue, n_fillable, n_open0)
             except KeyboardInterrupt:
+                if core.step > self.last_row:  # it came between a step and its row
+                    self._record(core, n_fillable, n_open0)
                 self._save(core)
                 raise
         with self.progress.stage("outcome"):
@@ -62,8 +64,17 @@ class AutomatonRun:
     def _step(self, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float], n_fillable: int, n_open0: int) -> int:
         """Do a step and write its row; returns the sites that are open after it."""
         started = time.perf_counter()
-        ((n_edge, n_layer, _, _, n_cells),) = core.advance(1, *cue).tolist()
+        core.advance(1, *cue)
         self.seconds += time.perf_counter() - started
+        n_open, closed = self._record(core, n_fillable, n_open0)
+        if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
+            self._save(core)
+        self.progress.update(closed, f"step {core.step}")
+        return n_open
+
+    def _record(self, core: NativeCore | TwinCore, n_fillable: int, n_open0: int) -> tuple[int, float]:
+        """Write the row of the last step, and keep its front for the picture now and then."""
+        n_edge, n_layer, _, _, n_cells = core.last
         n_open = n_fillable - n_cells
         closed = 1.0 - n_open / n_open0
         self.folder.record(_row(core.step, n_cells, n_open, closed, n_edge, n_layer))
@@ -71,18 +82,14 @@ class AutomatonRun:
         if n_open and closed >= len(self.fronts) * FRONTS_EVERY:
             self.fronts.append(pack_rows(core.occupancy()))
             self.steps_of_fronts.append(core.step)
-        if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
-            self._save(core)
-        self.progress.update(closed, f"step {core.step}")
-        return n_open
+        return n_open, closed
 
     def _save(self, core: NativeCore | TwinCore) -> None:
-        """Keep a checkpoint of the last step whose row is written."""
+        """Keep a checkpoint of the last step; its row has been written."""
         self.saved = time.perf_counter()
-        if core.step == self.last_row:
-            arrays = {"occupancy": pack_rows(core.occupancy()), "fronts": np.array(self.fronts)}
-            scalars = {"step": core.step, "steps_of_fronts": self.steps_of_fronts, "seconds": self.seconds}
-            self.folder.save_checkpoint(core.step, arrays, scalars)
+        arrays = {"occupancy": pack_rows(core.occupancy()), "fronts": np.array(self.fronts)}
+        scalars = {"step": core.step, "steps_of_fronts": self.steps_of_fronts, "seconds": self.seconds}
+        self.folder.save_checkpoint(core.step, arrays, scalars)
 
     def _start(self, automaton: Automaton) -> AutomatonState:
         kept = self.folder.checkpoint
