@@ -15,7 +15,7 @@ from cicatrix.healing.automaton import NativeCore
 from cicatrix.healing.twin import TwinCore
 from cicatrix.io.cases import check_case, load_case
 from cicatrix.io.progress import Progress
-from cicatrix.study.automaton_case import automaton_of, inradius_um
+from cicatrix.study.automaton import automaton_of, inradius_um
 
 DISC = """
 kind = "automaton"

@@ -12,7 +12,8 @@ from ..core import native
 from ..core.errors import InputError
 from ..healing.automaton import Automaton, AutomatonState, NativeCore, pack_rows, unpack_rows
 from ..healing.twin import TwinCore
-from ..study.automaton_case import AutomatonCase, automaton_of, cue_of
+from ..study.automaton import automaton_of, cue_of
+from ..study.automaton_case import AutomatonCase
 from .figures_automaton import closure_figure
 from .progress import Progress
 from .results import Quantity, RunFolder
