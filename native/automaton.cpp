@@ -183,7 +183,6 @@ class Core final : public AutomatonCore {
         });
     }
 
-
     std::vector<Site> divide_in_layer(int64_t& n_clamped) {
         std::vector<Site> parents;
         n_clamped = 0;

@@ -72,7 +72,7 @@ class Motility {
             }
     }
 
-    // Blocks around which every site can be filled need no weights of their own.
+    // Tiles around which every site can be filled need no weights of their own.
     void find_plain() {
         plain_.resize(s_.band.size());
         std::vector<uint8_t> all(s_.most_pieces(), 1);

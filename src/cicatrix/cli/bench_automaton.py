@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from functools import cache
 
 import numpy as np
 
@@ -93,6 +94,7 @@ def floor_ms(work: dict[str, int]) -> float:
     return 1e3 * (calls * _seconds_per_call() + 4 * work["mixed_sites"] / _triad_bytes_per_second())
 
 
+@cache
 def _seconds_per_call(n: int = 1 << 18) -> float:
     """Seconds per call of the compiled generator, many at once."""
     counter = np.zeros((n, 4), np.uint32)
@@ -101,6 +103,7 @@ def _seconds_per_call(n: int = 1 << 18) -> float:
     return best_of(lambda: native.philox4x32(counter, key), 3) / n
 
 
+@cache
 def _triad_bytes_per_second(n: int = 20_000_000) -> float:
     """What the memory gives: a = b + c on arrays larger than the caches."""
     a, b, c = np.empty(n), np.ones(n), np.ones(n)
