@@ -1,6 +1,7 @@
 #include "automaton.hpp"
 
 #include <algorithm>
+#include <iterator>
 #include <numeric>
 #include <string>
 
@@ -30,19 +31,25 @@ class Core final : public AutomatonCore {
         find_front();
     }
 
-    Counts advance(const double* W, bool per_site, double W_ref) override {
-        W_ = W, W_per_site_ = per_site, W_ref_ = W_ref;
+    Counts advance(const double* W, bool per_site, double W_ref, Team* team) override {
+        W_ = W, W_per_site_ = per_site, W_ref_ = W_ref, s_.team = team;
         Counts counts;
         if (n_open() > 0) {
             int64_t reach = first_reach();
+            int parts = parts_of_front();
             for (bool whole = false;; whole = reach > longest() || s_.too_flat) {
                 s_.too_flat = false;
                 try {
-                    counts = step_within(reach, whole);
+                    counts = step_within(reach, whole, parts);
                     break;
                 } catch (const TooNarrow&) {
                     if (whole) throw InvariantFault("the whole lattice was called too narrow for a step of the automaton");
-                    reach = 2 * reach;
+                    if (parts == 1)
+                        reach = 2 * reach;
+                    else if (far_sight_ < kFarthest)
+                        far_sight_ = 2 * far_sight_;
+                    else
+                        parts = 1;
                 }
             }
         }
@@ -113,25 +120,58 @@ class Core final : public AutomatonCore {
 
     // ---------------------------------------------------------------- one step
 
-    Counts step_within(int64_t reach, bool whole) {
+    Counts step_within(int64_t reach, bool whole, int parts) {
         s_.is_whole = whole, s_.work = Work();
-        s_.band.build(front_, reach, core_reach(), whole, s_.pool);
+        s_.is_shared = parts > 1, s_.work.ranks = parts;
+        build_band(reach, whole, parts);
         s_.load();
         Counts counts;
         counts.edge = divide_at_edge();
         motility_.move();
-        find_layer(s_.rules.layer_sites);
-        s_.work.layer_cells = s_.count_bits(layer_.tiles, layer_.bits());
-        const std::vector<Site> parents = divide_in_layer(counts.clamped);
-        if (!parents.empty()) {
-            const int64_t before = s_.n_occupied();
-            s_.rules.level_set ? level_set_.place(parents) : routing_.place(parents);
-            counts.layer = s_.n_occupied() - before;
-            counts.dropped = static_cast<int64_t>(parents.size()) - counts.layer;
-        }
+        s_.share_cells();
+        std::vector<Site> parents;
+        const std::vector<int64_t> found = s_.sum([&] {
+            find_layer(s_.rules.layer_sites);
+            s_.work.layer_cells = s_.count_bits(layer_.own_tiles(), layer_.bits());
+            int64_t n_clamped = 0;
+            parents = divide_in_layer(n_clamped);
+            return std::vector<int64_t>{static_cast<int64_t>(parents.size()), n_clamped};
+        });
+        if (found[0] > 0) counts.layer = s_.rules.level_set ? level_set_.place(parents) : routing_.place(parents);
         write_back(counts);
+        counts.dropped = found[0] - counts.layer, counts.clamped = found[1];
+        if (counts.dropped < 0) throw InvariantFault("more cells were placed than had divided");
         return counts;
     }
+
+    // ---------------------------------------------------------------- several ranks
+
+    // How many ranks share a step: as many as have enough to do. The level set's pieces may be larger than any share.
+    int parts_of_front() const {
+        if (!s_.team || s_.rules.level_set) return 1;
+        const size_t n = kBandOfFront * front_.size() / s_.pool.tiles_per_piece();
+        return static_cast<int>(std::clamp<size_t>(n, 1, s_.team->size()));
+    }
+
+    // The front is cut along the Morton curve, anew in every step.
+    void build_band(int64_t reach, bool whole, int parts) {
+        Share share;
+        if (parts > 1) {
+            s_.sight = far_sight_ * usual_sight();
+            share.core_halo = s_.rules.substeps + kAround, share.halo = s_.sight + s_.rules.layer_sites + kAround;
+            std::vector<uint64_t> places;
+            for (const Front& f : front_) places.push_back(s_.rows.place(f.word));
+            share.stretch = s_.team->rank() < parts ? stretch_of(places, s_.team->rank(), parts) : Stretch::none();
+        }
+        s_.band.build(front_, reach, core_reach(), whole, parts > 1 ? &share : nullptr, s_.pool);
+    }
+
+    // Hops of nearly all paths: the cost of a hop is 64 to 64 + path_noise, and the least of many.
+    int64_t usual_sight() const { return kAround + 2 + s_.rules.layer_sites + s_.rules.layer_sites * s_.rules.path_noise / 128; }
+
+    static constexpr int64_t kAround = 3;         // hops that edge division and the borders of tiles' masks look further
+    static constexpr size_t kBandOfFront = 3;     // tiles of the band for each of the front, about
+    static constexpr int64_t kFarthest = 4;
 
     // ---------------------------------------------------------------- edge division
 
@@ -140,10 +180,10 @@ class Core final : public AutomatonCore {
         const uint64_t limit = threshold(s_.rules.p_edge);
         if (limit > 0) s_.pieces(s_.band.core, [&](int i, Ids ids) { edge_targets(ids, limit, targets[i]); });
         int64_t n = 0;
-        s_.work.edge_cells = limit > 0 ? s_.count_bits(s_.band.core, s_.scratch()) : 0;
+        s_.work.edge_cells = limit > 0 ? s_.count_bits(s_.band.own_core(), s_.scratch()) : 0;
         for (const auto& part : targets)
             for (Site site : part)
-                if (!s_.has(s_.cells(), site)) s_.settle_at(site), ++n;
+                if (!s_.has(s_.cells(), site)) s_.settle_at(site), n += s_.is_own(site);
         return n;
     }
 
@@ -181,24 +221,27 @@ class Core final : public AutomatonCore {
                 layer_.bits()[id] = bits;
             }
         });
+        layer_.is_shared = s_.is_shared, layer_.own_.clear();
+        if (s_.is_shared)
+            std::copy_if(layer_.tiles.begin(), layer_.tiles.end(), std::back_inserter(layer_.own_), [&](int32_t id) { return s_.band.is_own(id); });
     }
 
+    // Own cells of the layer that divide.
     std::vector<Site> divide_in_layer(int64_t& n_clamped) {
         std::vector<Site> parents;
-        n_clamped = 0;
         if (s_.rules.p_layer == 0.0 || layer_.tiles.empty()) return parents;
         if (W_per_site_) return divide_by_site(n_clamped);
-        const uint64_t limit = limit_at(*W_, n_clamped, s_.count_bits(layer_.tiles, layer_.bits()));
+        const uint64_t limit = limit_at(*W_, n_clamped, s_.work.layer_cells);
         if (limit == 0) return parents;
-        s_.pieces(layer_.tiles, [&](int, Ids ids) { s_.kernels.draw(ids, s_.random(kLayerDivision), layer_.bits(), limit, s_.scratch()); });
-        s_.collect(layer_.tiles, parents, [&](int32_t id, std::vector<Site>& found) { s_.add_sites(id, s_.scratch()[id], found); });
+        s_.pieces(layer_.own_tiles(), [&](int, Ids ids) { s_.kernels.draw(ids, s_.random(kLayerDivision), layer_.bits(), limit, s_.scratch()); });
+        s_.collect(layer_.own_tiles(), parents, [&](int32_t id, std::vector<Site>& found) { s_.add_sites(id, s_.scratch()[id], found); });
         return parents;
     }
 
     std::vector<Site> divide_by_site(int64_t& n_clamped) {
         std::vector<Site> parents;
         s_.words.clear();
-        for (int32_t id : layer_.tiles)
+        for (int32_t id : layer_.own_tiles())
             for (uint32_t left = layer_.bits()[id]; left; left &= left - 1)
                 s_.add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
         s_.words.draw(s_.kernels, s_.step, kLayerDivision, s_.key);
@@ -216,28 +259,49 @@ class Core final : public AutomatonCore {
 
     // ---------------------------------------------------------------- the end of a step
 
-    void write_back(const Counts& counts) {
-        std::vector<int64_t> before(s_.most_pieces(), 0), misplaced(s_.most_pieces(), 0);
-        s_.pieces(s_.band.active, [&](int i, Ids ids) {
-            for (size_t k = 0; k < ids.count; ++k) {
-                const int32_t id = ids.first[k];
-                before[i] += popcount(s_.occupied[s_.band.word[id]]);
-                misplaced[i] |= s_.cells()[id] & ~s_.fill()[id];
-            }
+    // Keep what the step did; the counts of the own tiles become those of all.
+    void write_back(Counts& counts) {
+        const std::vector<int64_t> all = s_.sum([&] { return std::vector<int64_t>{counts.edge, counts.layer, gained(), misplaced()}; });
+        counts.edge = all[0], counts.layer = all[1];
+        if (all[2] != counts.edge + counts.layer || all[3] != 0)
+            throw InvariantFault("cells were lost or doubled: " + std::to_string(all[2]) + " more after " +
+                                 std::to_string(counts.edge + counts.layer) + " divisions");
+        s_.pieces(s_.band.own(), [&](int, Ids ids) { s_.by.border(ids, s_.band.beside(), s_.free(), s_.scratch()); });
+        const std::vector<Front> front = s_.together([&] {
+            std::vector<Front> mine;
+            s_.collect(s_.band.own(), mine, [&](int32_t id, std::vector<Front>& found) {
+                note_front(s_.band.word[id], s_.scratch()[id], found);
+            });
+            return mine;
+        });
+        keep_cells();
+        front_ = front;
+        n_cells_ += all[2];
+    }
+
+    void keep_cells() {
+        if (s_.is_shared)
+            for (const auto& change : s_.changes()) s_.occupied[change.word] = static_cast<uint32_t>(change.cells);
+        else
+            s_.pieces(s_.band.active, [&](int, Ids ids) {
+                for (size_t k = 0; k < ids.count; ++k) s_.occupied[s_.band.word[ids.first[k]]] = s_.cells()[ids.first[k]];
+            });
+    }
+
+    int64_t gained() {
+        std::vector<int64_t> parts(s_.most_pieces(), 0);
+        s_.pieces(s_.band.own(), [&](int i, Ids ids) {
+            for (size_t k = 0; k < ids.count; ++k)
+                parts[i] += popcount(s_.cells()[ids.first[k]]) - popcount(s_.occupied[s_.band.word[ids.first[k]]]);
         });
         // tiles that are not active are not looked at again, so nothing may change right beside them
         for (int32_t id : s_.band.outer) s_.require_inside(id, s_.cells()[id] ^ s_.occupied[s_.band.word[id]]);
-        const int64_t gained = s_.n_occupied() - std::accumulate(before.begin(), before.end(), int64_t{0});
-        const bool is_misplaced = std::any_of(misplaced.begin(), misplaced.end(), [](int64_t m) { return m != 0; });
-        if (gained != counts.edge + counts.layer || counts.dropped < 0 || is_misplaced)
-            throw InvariantFault("cells were lost or doubled: " + std::to_string(gained) + " more after " +
-                                 std::to_string(counts.edge + counts.layer) + " divisions");
-        s_.pieces(s_.band.active, [&](int, Ids ids) { s_.by.border(ids, s_.band.beside(), s_.free(), s_.scratch()); });
-        s_.collect(s_.band.active, front_, [&](int32_t id, std::vector<Front>& found) {
-            s_.occupied[s_.band.word[id]] = s_.cells()[id];
-            note_front(s_.band.word[id], s_.scratch()[id], found);
-        });
-        n_cells_ += gained;
+        return std::accumulate(parts.begin(), parts.end(), int64_t{0});
+    }
+
+    // Tiles with a cell where there may be none.
+    int64_t misplaced() {
+        return std::count_if(s_.band.own().begin(), s_.band.own().end(), [&](int32_t id) { return (s_.cells()[id] & ~s_.fill()[id]) != 0; });
     }
 
     Stage<D> s_;
@@ -246,6 +310,7 @@ class Core final : public AutomatonCore {
     Routing<D> routing_{s_, layer_};
     LevelSet<D> level_set_{s_, motility_};
     std::vector<Front> front_;
+    int64_t far_sight_ = 1;  // doubled where paths turned out to be longer
     int64_t n_cells_ = 0, n_fillable_ = 0;
     const double* W_ = nullptr;
     bool W_per_site_ = false;

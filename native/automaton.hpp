@@ -6,6 +6,8 @@
 #include <stdexcept>
 #include <vector>
 
+#include "team.hpp"
+
 namespace cicatrix {
 
 struct Rules {
@@ -21,8 +23,9 @@ struct Counts {
     int64_t edge = 0, layer = 0, dropped = 0, clamped = 0;
 };
 
-// What the last step had to look at, and the memory that is held.
+// What this rank had to look at in the last step, and the memory that it holds.
 struct Work {
+    int64_t ranks = 0;  // that shared the step
     int64_t stored_tiles = 0, active_tiles = 0;  // of 32 sites
     int64_t mixed_sites = 0;                       // of tiles where the density is not everywhere the same
     int64_t edge_cells = 0, layer_cells = 0, shore_sites = 0;
@@ -38,8 +41,9 @@ class AutomatonCore {
    public:
     virtual ~AutomatonCore() = default;
 
-    // One step under the cue W (one number, or one per site in C order) over W_ref.
-    virtual Counts advance(const double* W, bool per_site, double W_ref) = 0;
+    // One step under the cue W (one number, or one per site in C order) over W_ref. team: ranks that hold the same lattice and
+    // do the step together, or null.
+    virtual Counts advance(const double* W, bool per_site, double W_ref, Team* team) = 0;
 
     // Rows of bits, least significant first, one after the other without a gap between bytes.
     virtual void occupancy(uint8_t* rows) const = 0;

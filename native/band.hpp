@@ -4,11 +4,13 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <iterator>
 #include <stdexcept>
 #include <vector>
 
 #include "kernels.hpp"
 #include "pool.hpp"
+#include "team.hpp"
 
 namespace cicatrix {
 
@@ -49,6 +51,11 @@ struct Rows {
         const int64_t i = row / inner, j = row % inner;
         return i == 0 || i == outer - 1 || (D == 3 && (j == 0 || j == inner - 1));
     }
+    // Where the first site of a tile lies on the Morton curve.
+    uint64_t place(int64_t word) const {
+        const int64_t row = word / tiles;
+        return morton(row / inner * G::height, D == 3 ? row % inner * G::depth : 0, word % tiles * kPlaces);
+    }
     // How far in rows the row offset k leads.
     int64_t stride(int k) const { return G::row[k][0] * inner + G::row[k][1]; }
 };
@@ -62,6 +69,8 @@ struct Front {
 // One bit per tile of a lattice.
 template <int D>
 class TileSet {
+    using G = Geometry<D>;
+
    public:
     explicit TileSet(const Rows<D>& rows)
         : rows_(rows), words_((rows.tiles + 63) / 64), bits_(rows.count() * words_), inner_(words_) {
@@ -102,20 +111,47 @@ class TileSet {
 
     // The other set and one tile more on every side.
     void surround(const TileSet& other, int64_t first, int64_t last) {
-        for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
-            const uint64_t* from = other.row(r);
-            uint64_t* to = bits_.data() + r * words_;
-            for (int64_t w = 0; w < words_; ++w) {
-                to[w] = from[w] | from[w] << 1 | from[w] >> 1;
-                if (w > 0) to[w] |= from[w - 1] >> 63;
-                if (w + 1 < words_) to[w] |= from[w + 1] << 63;
-            }
-        }
+        for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) beside(other.row(r), bits_.data() + r * words_);
         widen(1, 1, first, last);
     }
 
+    // Tiles of `among` within some hops of `from`.
+    void near_to(const TileSet& from, int64_t hops, const TileSet& among, int64_t first, int64_t last) {
+        std::vector<uint64_t> narrow(words_);
+        for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
+            std::copy_n(from.row(r), words_, bits_.data() + r * words_);
+            for (int64_t done = 0; done < hops; done += kPlaces) {
+                std::copy_n(row(r), words_, narrow.data());
+                beside(narrow.data(), bits_.data() + r * words_);
+            }
+        }
+        widen(in_rows(hops, G::height), in_rows(hops, G::depth), first, last);
+        for (int64_t w = first * rows_.inner * words_; w < last * rows_.inner * words_; ++w) bits_[w] &= among.bits_[w];
+    }
+
+    // Only those of the other set that lie on a stretch of the Morton curve.
+    void take(const TileSet& other, const Stretch& stretch, int64_t first, int64_t last) {
+        for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r)
+            for (int64_t w = 0; w < words_; ++w) {
+                uint64_t& to = bits_[r * words_ + w] = other.bits_[r * words_ + w];
+                for (uint64_t left = to; left; left &= left - 1)
+                    if (!stretch.has(rows_.place(r * rows_.tiles + 64 * w + __builtin_ctzll(left)))) to &= ~(left & -left);
+            }
+    }
+
+    static int64_t in_rows(int64_t hops, int size) { return (hops + size - 1) / size; }
+
    private:
     uint64_t* at(int64_t r) { return bits_.data() + r * words_; }
+
+    // A row of tiles, and one more on either side of each.
+    void beside(const uint64_t* from, uint64_t* to) const {
+        for (int64_t w = 0; w < words_; ++w) {
+            to[w] = from[w] | from[w] << 1 | from[w] >> 1;
+            if (w > 0) to[w] |= from[w - 1] >> 63;
+            if (w + 1 < words_) to[w] |= from[w + 1] << 63;
+        }
+    }
 
     // out[i] = or of in[i - reach .. i + reach], n rows of `size` words, by doubling.
     static void spread(uint64_t* bits, int64_t n, int64_t size, int64_t reach) {
@@ -138,17 +174,25 @@ class TileSet {
     std::vector<uint64_t> bits_, inner_;
 };
 
-// Stored tiles, numbered along the rows. Active ones have all their neighbours stored.
+// What one rank of several does of a band: it owns the tiles of a stretch, and computes others within some hops of them too.
+struct Share {
+    Stretch stretch;
+    int64_t halo, core_halo;
+};
+
+// Stored tiles, numbered along the rows. Active ones have all their neighbours stored. Who works alone owns all active tiles.
 template <int D>
 class Band {
     using G = Geometry<D>;
 
    public:
     explicit Band(const Rows<D>& rows)
-        : rows_(rows), near_(rows), core_(rows), stored_(rows), rim_(rows), outside_(rows), beyond_(rows), first_run_(rows.count() + 1) {}
+        : rows_(rows), near_(rows), core_(rows), own_(rows), stored_(rows), rim_(rows), outside_(rows), beyond_(rows),
+          first_run_(rows.count() + 1) {}
 
-    // Tiles within `reach` hops of the front become active, those within `inner` make the core; all tiles if `whole`.
-    void build(const std::vector<Front>& front, int64_t reach, int64_t inner, bool whole, Pool& pool) {
+    // Tiles within `reach` hops of the front become active, those within `inner` make the core; all tiles if `whole`. Of several
+    // ranks (`share`) each keeps its own and their halo.
+    void build(const std::vector<Front>& front, int64_t reach, int64_t inner, bool whole, const Share* share, Pool& pool) {
         int64_t low = 1, high = rows_.outer - 1;  // range of the first axis
         if (!whole) {
             low = rows_.outer, high = 0;
@@ -156,7 +200,7 @@ class Band {
                 const int64_t i = f.word / rows_.tiles / rows_.inner;
                 low = std::min(low, i), high = std::max(high, i + 1);
             }
-            const int64_t rows = in_rows(reach, G::height);
+            const int64_t rows = Tiles::in_rows(reach, G::height);
             low = std::max<int64_t>(1, low - rows), high = std::min(rows_.outer - 1, high + rows);
         }
         const int64_t from = low - 1, to = high + 1;
@@ -169,18 +213,37 @@ class Band {
             mark(near_, front, reach, from, to);
             mark(core_, front, inner, from, to);
         }
-        stored_.surround(near_, from, to);
-        rim_.surround(core_, from, to);
         outside_.complement(near_, from, to);
         beyond_.surround(outside_, from, to);
+        is_shared_ = share != nullptr;
+        if (share) {
+            own_.take(near_, share->stretch, from, to);
+            keep_about_own(core_, share->core_halo, from, to);
+            keep_about_own(near_, share->halo, from, to);
+        }
+        stored_.surround(near_, from, to);
+        rim_.surround(core_, from, to);
         enumerate(from * rows_.inner, to * rows_.inner, pool);
     }
+
+    // The id of a tile by its place in the framed lattice, -1 where it is not stored.
+    int32_t find(int64_t where) const {
+        const int64_t r = where / rows_.tiles, b = where % rows_.tiles;
+        if (r < first_row_ || r >= last_row_) return -1;
+        const auto end = runs_.begin() + first_run_[r + 1];
+        const auto run = std::partition_point(runs_.begin() + first_run_[r], end, [b](const Run& it) { return it.last < b; });
+        return run == end || run->first > b ? -1 : run->id + static_cast<int32_t>(b - run->first);
+    }
+
+    const std::vector<int32_t>& own() const { return is_shared_ ? own_active_ : active; }
+    const std::vector<int32_t>& own_core() const { return is_shared_ ? own_core_ : core; }
+    bool is_own(int32_t id) const { return !is_shared_ || own_.has(word[id] / rows_.tiles, word[id] % rows_.tiles); }
 
     int32_t size() const { return static_cast<int32_t>(word.size()); }
     int64_t bytes() const {
         int64_t n = static_cast<int64_t>(8 * (word.capacity() + first_site.capacity()) + is_active.capacity() +
                                          is_frame.capacity() + is_core_or_rim.capacity());
-        for (const auto* v : {&active, &core, &rim, &outer, &first_run_}) n += static_cast<int64_t>(4 * v->capacity());
+        for (const auto* v : {&active, &core, &rim, &outer, &first_run_, &own_active_, &own_core_}) n += static_cast<int64_t>(4 * v->capacity());
         for (const auto& v : rows_beside_) n += static_cast<int64_t>(4 * v.capacity());
         return n;
     }
@@ -193,7 +256,7 @@ class Band {
     std::vector<int32_t> active, core;
     std::vector<uint8_t> is_core_or_rim;
     std::vector<int32_t> rim;    // not of the core, but beside it
-    std::vector<int32_t> outer;  // active, with a tile beside it that is not, the frame apart
+    std::vector<int32_t> outer;  // own, with a tile beside it that no rank has active, the frame apart
     std::vector<int64_t> first_site;  // number of lane 0
 
    private:
@@ -202,20 +265,27 @@ class Band {
         int32_t id;           // of the first
     };
 
-    static int64_t in_rows(int64_t reach, int size) { return (reach + size - 1) / size; }
+    using Tiles = TileSet<D>;
 
-    void mark(TileSet<D>& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
+    void keep_about_own(Tiles& set, int64_t hops, int64_t from, int64_t to) {
+        Tiles& about = stored_;  // not made yet
+        about.near_to(own_, hops, set, from, to);
+        std::swap(about, set);
+    }
+
+    void mark(Tiles& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
         for (const Front& f : front) {
             const int64_t row = f.word / rows_.tiles, tile = f.word % rows_.tiles;
             const int64_t left = (f.low - reach - (kPlaces - 1)) / kPlaces, right = (f.high + reach) / kPlaces;
             set.add(row, std::max<int64_t>(1, tile + left),
                     std::min(rows_.tiles - 2, tile + right));
         }
-        set.widen(in_rows(reach, G::height), in_rows(reach, G::depth), from, to);
+        set.widen(Tiles::in_rows(reach, G::height), Tiles::in_rows(reach, G::depth), from, to);
         set.drop_frame(from, to);
     }
 
     void enumerate(int64_t first, int64_t last, Pool& pool) {
+        first_row_ = first, last_row_ = last;
         runs_.clear();
         int64_t n = 0;
         for (int64_t r = first; r < last; ++r) {
@@ -235,13 +305,16 @@ class Band {
             const int64_t from = first + (last - first) * i / parts, to = first + (last - first) * (i + 1) / parts;
             for (int64_t r = from; r < to; ++r) describe_row(r, first, last, lists[i]);
         });
-        active.clear(), core.clear(), rim.clear(), outer.clear();
+        active.clear(), core.clear(), rim.clear(), outer.clear(), own_active_.clear(), own_core_.clear();
         for (const Lists& some : lists) {
             active.insert(active.end(), some.active.begin(), some.active.end());
             core.insert(core.end(), some.core.begin(), some.core.end());
             rim.insert(rim.end(), some.rim.begin(), some.rim.end());
             outer.insert(outer.end(), some.outer.begin(), some.outer.end());
         }
+        if (!is_shared_) return;
+        std::copy_if(active.begin(), active.end(), std::back_inserter(own_active_), [&](int32_t id) { return is_own(id); });
+        std::copy_if(core.begin(), core.end(), std::back_inserter(own_core_), [&](int32_t id) { return is_own(id); });
     }
 
     static constexpr int64_t kMostTiles = int64_t{1} << 26;  // their sites have 31-bit numbers
@@ -297,7 +370,7 @@ class Band {
             if (!in(near)) continue;
             lists.active.push_back(id);
             if (in(core_bits)) lists.core.push_back(id);
-            if (in(beyond)) lists.outer.push_back(id);
+            if (in(beyond) && is_own(id)) lists.outer.push_back(id);
         }
     }
 
@@ -315,7 +388,10 @@ class Band {
     }
 
     Rows<D> rows_;
-    TileSet<D> near_, core_, stored_, rim_, outside_, beyond_;
+    Tiles near_, core_, own_, stored_, rim_, outside_, beyond_;
+    bool is_shared_ = false;
+    std::vector<int32_t> own_active_, own_core_;
+    int64_t first_row_ = 0, last_row_ = 0;
     std::vector<int32_t> first_run_;
     std::vector<Run> runs_;
     std::array<std::vector<int32_t>, kMaxRows> rows_beside_;

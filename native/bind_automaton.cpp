@@ -16,6 +16,29 @@ namespace {
 using Bits = nb::ndarray<const uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Field = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
+// Ranks behind a Python object with rank, size and gather(bytes) -> list of bytes.
+class PythonTeam final : public Team {
+   public:
+    explicit PythonTeam(const nb::object& ranks)
+        : gather_(ranks.attr("gather")), rank_(nb::cast<int>(ranks.attr("rank"))), size_(nb::cast<int>(ranks.attr("size"))) {}
+
+    int rank() const override { return rank_; }
+    int size() const override { return size_; }
+    std::vector<std::string> gather(const std::string& mine) override {
+        nb::gil_scoped_acquire hold;
+        std::vector<std::string> all;
+        for (nb::handle message : nb::cast<nb::list>(gather_(nb::bytes(mine.data(), mine.size())))) {
+            const nb::bytes bytes = nb::cast<nb::bytes>(message);
+            all.emplace_back(bytes.c_str(), bytes.size());
+        }
+        return all;
+    }
+
+   private:
+    nb::object gather_;
+    int rank_, size_;
+};
+
 struct Automaton {
     std::vector<int64_t> shape;
     std::unique_ptr<AutomatonCore> core;
@@ -44,17 +67,18 @@ void construct(Automaton* self, std::vector<int64_t> shape, Bits fillable, Bits 
     self->core = make_automaton(self->shape, fillable.data(), occupied.data(), rules, step, threads, tiles_per_piece, isa.c_str());
 }
 
-nb::object advance(Automaton& self, int64_t n_steps, Field W, double W_ref) {
+nb::object advance(Automaton& self, int64_t n_steps, Field W, double W_ref, nb::object ranks) {
     if (n_steps < 0) throw nb::value_error("n_steps must be at least 0");
     const bool per_site = W.size() != 1;
     if (per_site && static_cast<int64_t>(W.size()) != self.n_sites())
         throw nb::value_error("W must be one number or one for each site");
     auto* counts = new int64_t[5 * n_steps];
     nb::capsule owner(counts, [](void* p) noexcept { delete[] static_cast<int64_t*>(p); });
+    const auto team = ranks.is_none() ? nullptr : std::make_unique<PythonTeam>(ranks);
     {
         nb::gil_scoped_release release;
         for (int64_t i = 0; i < n_steps; ++i) {
-            const Counts c = self.core->advance(W.data(), per_site, W_ref);
+            const Counts c = self.core->advance(W.data(), per_site, W_ref, team.get());
             self.last = {c.edge, c.layer, c.dropped, c.clamped, self.core->n_cells()};
             std::copy(self.last.begin(), self.last.end(), counts + 5 * i);
         }
@@ -85,8 +109,9 @@ void bind_automaton(nb::module_& m) {
              nb::arg("p_edge"), nb::arg("p_layer"), nb::arg("layer_sites"), nb::arg("motility_substeps"),
              nb::arg("level_set"), nb::arg("feedback"), nb::arg("min_free_neighbours"), nb::arg("path_noise"),
              nb::arg("seed"), nb::arg("step"), nb::arg("threads") = 1, nb::arg("tiles_per_piece") = 1024, nb::arg("isa") = "")
-        .def("advance", &advance, nb::arg("n_steps"), nb::arg("W"), nb::arg("W_ref"),
-             "Do steps; (n_steps, 5) int64: edge divisions, layer divisions, dropped, clamped, cells.")
+        .def("advance", &advance, nb::arg("n_steps"), nb::arg("W"), nb::arg("W_ref"), nb::arg("ranks") = nb::none(),
+             "Do steps; (n_steps, 5) int64: edge divisions, layer divisions, dropped, clamped, cells. With ranks (rank, size, "
+             "gather(bytes) -> list of bytes) all of them call this alike, on the same lattice.")
         .def_prop_ro("last", [](const Automaton& a) { return a.last; }, "What the last step gave, as a row of advance.")
         .def("occupancy", &occupancy, "The cells as packed rows, (n_bytes,) uint8.")
         .def_prop_ro("n_cells", [](const Automaton& a) { return a.core->n_cells(); })
@@ -97,7 +122,7 @@ void bind_automaton(nb::module_& m) {
             [](const Automaton& a) {
                 const Work w = a.core->work();
                 nb::dict out;
-                out["stored_tiles"] = w.stored_tiles, out["active_tiles"] = w.active_tiles;
+                out["ranks"] = w.ranks, out["stored_tiles"] = w.stored_tiles, out["active_tiles"] = w.active_tiles;
                 out["mixed_sites"] = w.mixed_sites, out["edge_cells"] = w.edge_cells;
                 out["layer_cells"] = w.layer_cells, out["shore_sites"] = w.shore_sites, out["bytes"] = w.bytes;
                 return out;

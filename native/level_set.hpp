@@ -17,17 +17,19 @@ class LevelSet {
    public:
     LevelSet(Stage<D>& stage, Motility<D>& motility) : s_(stage), motility_(motility) {}
 
-    // Diffuse, then keep the new number of cells in each connected piece of the sites around the wound.
-    void place(const std::vector<Site>& parents) {
+    // Diffuse, then keep the new number of cells in each connected piece of the sites around the wound; returns how many are new.
+    int64_t place(const std::vector<Site>& parents) {
         s_.find_zone(std::max(s_.rules.layer_sites, s_.rules.substeps));
         find_pieces();
         for (Site site : parents) ++wounds_[run_at(site).wound].n_new;
         const uint16_t* u = motility_.diffuse();
+        int64_t n_placed = 0;
         for (const Run& run : runs_)
             if (Wound& wound = wounds_[run.wound]; wound.n_new) tally(run, u, wound);
         for (Wound& wound : wounds_) {
             if (!wound.n_new) continue;
             const int64_t wanted = std::min(wound.n_cells + wound.n_new, wound.n_sites);
+            n_placed += wanted - wound.n_cells;
             const auto [level, above] = level_in(wound.histogram, wanted);
             wound.level = level, wound.wanted = wanted - above;
             if (level == 0 && wound.n_far > 0) {
@@ -40,8 +42,9 @@ class LevelSet {
         for (Wound& wound : wounds_) {
             s_.words.clear();
             for (Site site : wound.ties) s_.add_word(site);
-            for (Site site : s_.first_of(kRedistributionTie, wound.wanted)) s_.settle_at(site);
+            s_.settle_first(kRedistributionTie, wound.wanted);
         }
+        return n_placed;
     }
 
    private:

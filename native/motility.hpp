@@ -18,16 +18,15 @@ class Motility {
 
     void move() {
         if (s_.rules.substeps == 0) return;
-        const int64_t count = s_.count_bits(s_.band.core, s_.cells());
-        if (count == 0) return;
         const uint16_t* u = diffuse();
-        const auto [level, above, reached] = level_of(u, count);
-        const bool keeps_all_bulk = level == G::bulk && reached == count;  // so do the cells beyond the band
-        if (!s_.is_whole && !(0 < level && level < G::bulk) && !keeps_all_bulk) {
+        const Level level = level_of(u);
+        if (level.count == 0) return;
+        const bool keeps_all_bulk = level.value == G::bulk && level.at == level.wanted;  // so do the cells beyond the band
+        if (!s_.is_whole && !(0 < level.value && level.value < G::bulk) && !keeps_all_bulk) {
             s_.too_flat = true;
             throw TooNarrow();
         }
-        keep_level(u, level, count - above);
+        keep_level(u, level);
     }
 
     // Integer density after all sub-steps, in the core of the band and right beside it.
@@ -95,48 +94,72 @@ class Motility {
     }
 
     struct Level {
-        uint16_t level;
-        int64_t above, reached;  // sites above it, sites at it or above
+        uint16_t value = 0;
+        int64_t count = 0, at = 0, wanted = 0;  // cells; lanes at this level, and how many of them hold a cell
     };
 
-    // The level U0 that `count` fillable sites of the core reach: by bisection.
-    Level level_of(const uint16_t* u, int64_t count) {
-        mixed_.resize(s_.band.core.size());
-        int64_t n_bulk = 0;
-        mixed_.resize(s_.kernels.mixed(Ids{s_.band.core.data(), s_.band.core.size()}, u, G::bulk, mixed_.data(), &n_bulk));
-        s_.work.mixed_sites = kLanes * static_cast<int64_t>(mixed_.size());
-        auto from = [&](uint32_t level) {
-            std::vector<int64_t> parts(s_.most_pieces(), 0);
-            s_.pieces(mixed_, [&](int i, Ids ids) { parts[i] = s_.kernels.count_from(ids, u, static_cast<uint16_t>(level)); });
-            return std::accumulate(parts.begin(), parts.end(), kLanes * n_bulk);
-        };
-        uint32_t low = 0, high = G::bulk + 1;  // from(low) >= count > from(high)
-        int64_t above = 0, reached = kLanes * static_cast<int64_t>(s_.band.core.size());
-        while (high - low > 1) {
-            const uint32_t middle = (low + high) / 2;
-            const int64_t n = from(middle);
-            if (n >= count)
-                low = middle, reached = n;
-            else
-                high = middle, above = n;
-        }
-        return {static_cast<uint16_t>(low), above, reached};
+    // The level U0 that as many sites of the core reach as there are cells in it.
+    Level level_of(const uint16_t* u) {
+        const std::vector<int64_t> fine = histogram(u);
+        std::vector<int64_t> coarse(fine.size() / kFine + 1, 0);  // and one more number, of the cells
+        for (size_t i = 0; i < fine.size(); ++i) coarse[i / kFine] += fine[i];
+        coarse.back() = s_.count_bits(s_.band.own_core(), s_.cells());
+        coarse = s_.sum([&] { return coarse; });
+        Level level;
+        level.wanted = level.count = coarse.back();
+        coarse.pop_back();
+        const size_t first = kFine * reached_by(coarse, level.wanted);
+        const auto some = fine.begin() + first;
+        const std::vector<int64_t> here = s_.sum([&] { return std::vector<int64_t>(some, some + kFine); });
+        const size_t place = reached_by(here, level.wanted);
+        level.value = static_cast<uint16_t>(first + place), level.at = here[place];
+        return level;
     }
 
-    // Cells sit where U > level, and at `wanted` of the sites at the level.
-    void keep_level(const uint16_t* u, uint16_t level, int64_t wanted) {
+    // The last bin such that it and those after it hold `wanted`; leaves how many of them lie in this bin.
+    static size_t reached_by(const std::vector<int64_t>& bins, int64_t& wanted) {
+        size_t i = bins.size() - 1;
+        for (; i > 0 && bins[i] < wanted; --i) wanted -= bins[i];
+        return i;
+    }
+
+    // How many lanes of the own core have each density.
+    std::vector<int64_t> histogram(const uint16_t* u) {
+        const std::vector<int32_t>& core = s_.band.own_core();
+        mixed_.resize(core.size());
+        int64_t n_bulk = 0;
+        mixed_.resize(s_.kernels.mixed(Ids{core.data(), core.size()}, u, G::bulk, mixed_.data(), &n_bulk));
+        s_.work.mixed_sites = kLanes * static_cast<int64_t>(mixed_.size());
+        std::vector<std::vector<int64_t>> parts(s_.most_pieces(), std::vector<int64_t>());
+        s_.pieces(mixed_, [&](int i, Ids ids) {
+            parts[i].resize(size_t{G::bulk} + 1, 0);
+            for (size_t k = 0; k < ids.count; ++k)
+                for (int lane = 0; lane < kLanes; ++lane) ++parts[i][u[kLanes * size_t(ids.first[k]) + lane]];
+        });
+        std::vector<int64_t> all(size_t{G::bulk} + 1, 0);
+        for (const auto& part : parts)
+            for (size_t level = 0; level < part.size(); ++level) all[level] += part[level];
+        all[0] += kLanes * (static_cast<int64_t>(core.size()) - n_bulk) - s_.work.mixed_sites;
+        all[G::bulk] += kLanes * n_bulk;
+        return all;
+    }
+
+    // Cells sit where U > level, and at the wanted number of the sites at the level.
+    void keep_level(const uint16_t* u, const Level& level) {
         above_.resize(s_.band.size()), equal_.resize(s_.band.size());
-        s_.pieces(s_.band.core, [&](int, Ids ids) { s_.kernels.compare(ids, u, level, above_.data(), equal_.data()); });
+        s_.pieces(s_.band.own_core(), [&](int, Ids ids) { s_.kernels.compare(ids, u, level.value, above_.data(), equal_.data()); });
+        const bool takes_all = level.wanted == level.at;
         s_.words.clear();
-        for (int32_t id : s_.band.core) {
-            s_.cells()[id] = above_[id] & s_.fill()[id];
-            s_.free()[id] = s_.fill()[id] & ~s_.cells()[id];
+        for (int32_t id : s_.band.own_core()) {
+            s_.set_cells(id, (takes_all ? above_[id] | equal_[id] : above_[id]) & s_.fill()[id]);
+            if (takes_all) continue;
             for (uint32_t left = equal_[id] & s_.fill()[id]; left; left &= left - 1)
                 s_.add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
         }
-        for (Site site : s_.first_of(kMotilityTie, wanted)) s_.settle_at(site);
+        if (!takes_all) s_.settle_first(kMotilityTie, level.wanted);
     }
 
+    static constexpr size_t kFine = 128;          // levels of a coarse bin
     static constexpr size_t kTilesPerWave = 64;  // some of them fit into the first cache, with all their sub-steps
 
     Stage<D>& s_;

@@ -11,10 +11,12 @@ namespace cicatrix {
 
 // Cells of the layer, tile by tile.
 struct Layer {
-    std::vector<int32_t> tiles;
+    std::vector<int32_t> tiles, own_;
     std::vector<uint32_t> bits_;  // by id, one more entry at either end
+    bool is_shared = false;
 
     uint32_t* bits() { return bits_.data() + 1; }
+    const std::vector<int32_t>& own_tiles() const { return is_shared ? own_ : tiles; }
 };
 
 template <int D>
@@ -25,16 +27,17 @@ class Routing {
    public:
     Routing(Stage<D>& stage, Layer& layer) : s_(stage), layer_(layer) {}
 
-    void place(const std::vector<Site>& parents) {
+    // Let the own tokens of each rank find their sites; returns how many own sites were filled.
+    int64_t place(const std::vector<Site>& parents) {
         open_paths();
         relax_layer();
-        std::vector<Site> tokens(parents);
-        s_.ranges(tokens.size(), [&](int, size_t first, size_t last) {
-            for (size_t i = first; i < last; ++i) tokens[i] = distance()[tokens[i]] < kFar ? descend(tokens[i]) : kNowhere;
-        });
-        tokens.erase(std::remove(tokens.begin(), tokens.end(), kNowhere), tokens.end());
-        s_.pieces(layer_.tiles, [&](int, Ids ids) { clear(ids, distance()); });
-        for (tokens = land(tokens); !tokens.empty(); tokens = land(tokens)) tokens = walk(tokens);
+        n_settled_ = 0;
+        std::vector<uint64_t> tokens = s_.together([&] { return names(walk_first(parents)); });
+        while (true) {
+            const std::vector<Site> rest = land(tokens);
+            if (tokens.empty()) return n_settled_;
+            tokens = s_.together([&] { return names(walk(rest)); });
+        }
     }
 
     int64_t bytes() const {
@@ -67,11 +70,32 @@ class Routing {
         });
     }
 
+    std::vector<uint64_t> names(const std::vector<Site>& sites) const {
+        std::vector<uint64_t> out;
+        out.reserve(sites.size());
+        for (Site site : sites) out.push_back(s_.name(site));
+        return out;
+    }
+
+    // The first round: down the field of the whole layer where it is known to be exact.
+    std::vector<Site> walk_first(const std::vector<Site>& parents) {
+        const uint64_t exact = s_.is_shared ? std::min<uint64_t>(kFar, kHopCost * (s_.sight - 1)) : kFar;
+        std::vector<Site> tokens(parents), unsure;
+        for (Site site : tokens)
+            if (s_.is_shared && distance()[site] >= exact) unsure.push_back(site);
+        s_.ranges(tokens.size(), [&](int, size_t first, size_t last) {
+            for (size_t i = first; i < last; ++i) tokens[i] = distance()[tokens[i]] < exact ? descend(tokens[i]) : s_.kNowhere;
+        });
+        tokens.erase(std::remove(tokens.begin(), tokens.end(), s_.kNowhere), tokens.end());
+        s_.pieces(layer_.tiles, [&](int, Ids ids) { clear(ids, distance()); });
+        for (Site site : walk(unsure)) tokens.push_back(site);
+        return tokens;
+    }
+
     static void clear(Ids ids, uint16_t* values) {
         for (size_t i = 0; i < ids.count; ++i) std::fill_n(values + kLanes * size_t(ids.first[i]), kLanes, kFar);
     }
 
-    static constexpr Site kNowhere = ~Site{0};
     static constexpr uint16_t kUnit = kSettleCost / G::directions;
 
     // The fewer cells beside an empty site, the dearer it is to settle there.
@@ -114,21 +138,29 @@ class Routing {
         return site;
     }
 
-    // One token of each site stays there; returns the others.
-    std::vector<Site> land(std::vector<Site>& tokens) {
+    // One token of each site stays there. Leaves the others in the list; returns those that this rank has to move.
+    std::vector<Site> land(std::vector<uint64_t>& tokens) {
         std::sort(tokens.begin(), tokens.end());
-        std::vector<Site> rest;
+        std::vector<Site> mine;
+        size_t n_left = 0;
         for (size_t i = 0; i < tokens.size(); ++i) {
+            const Site site = s_.site_of(tokens[i]);
             if (i > 0 && tokens[i] == tokens[i - 1]) {
-                rest.push_back(tokens[i]);
-                continue;
+                tokens[n_left++] = tokens[i];
+                if (s_.is_own(site)) mine.push_back(site);
+            } else if (site != s_.kNowhere) {
+                settle(site);
             }
-            const Site site = tokens[i];
-            s_.settle_at(site);
-            cost()[site] = static_cast<uint16_t>(kHopCost + below(s_.word_at(site, kPathCost), s_.rules.path_noise + 1));
-            distance()[site] = kFar;
         }
-        return rest;
+        tokens.resize(n_left);
+        return mine;
+    }
+
+    void settle(Site site) {
+        s_.settle_at(site);
+        n_settled_ += s_.is_own(site);
+        cost()[site] = static_cast<uint16_t>(kHopCost + below(s_.word_at(site, kPathCost), s_.rules.path_noise + 1));
+        distance()[site] = kFar;
     }
 
     // Move tokens to free sites, those without a path are dropped. The field is solved near the tokens only: a path that
@@ -136,6 +168,7 @@ class Routing {
     std::vector<Site> walk(std::vector<Site> tokens) {
         std::vector<Site> done;
         for (int64_t reach = 2; !tokens.empty(); reach *= 2) {
+            if (s_.is_shared && reach + 2 > s_.sight) throw TooNarrow();
             const bool is_all = find_near(tokens, reach);
             solve_near();
             const uint64_t exact = is_all ? uint64_t{kFar} : std::min<uint64_t>(kFar, kHopCost * (reach + 1));
@@ -196,6 +229,7 @@ class Routing {
     uint32_t generation_ = 0;
     std::vector<int32_t> shore_;
     std::vector<Site> near_;
+    int64_t n_settled_ = 0;
 };
 
 }  // namespace cicatrix

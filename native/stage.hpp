@@ -3,6 +3,8 @@
 
 #include <algorithm>
 #include <array>
+#include <cstring>
+#include <string>
 #include <tuple>
 #include <vector>
 
@@ -12,6 +14,7 @@
 #include "philox.hpp"
 #include "pool.hpp"
 #include "sites.hpp"
+#include "team.hpp"
 
 namespace cicatrix {
 
@@ -44,7 +47,86 @@ class Stage {
     uint32_t* fill() { return fill_.data() + 1; }
     uint32_t* free() { return free_.data() + 1; }
 
-    int64_t n_occupied() { return count_bits(band.active, cells()); }
+    // ---- what several ranks do together; who works alone hears only itself
+
+    // What all ranks find, one after the other. The band is too narrow for all if it is for one.
+    template <class Find>
+    auto together(Find&& find) {
+        if (!is_shared) return find();
+        using List = decltype(find());
+        using T = typename List::value_type;
+        std::string message(1, 'd');
+        try {
+            const List mine = find();
+            message.append(reinterpret_cast<const char*>(mine.data()), mine.size() * sizeof(T));
+        } catch (const TooNarrow&) {
+            message = "f";
+        }
+        List all;
+        bool is_done = true;
+        for (const std::string& other : team->gather(message)) {
+            is_done &= other.front() == 'd';
+            all.resize(all.size() + other.size() / sizeof(T));
+            std::memcpy(all.data() + all.size() - other.size() / sizeof(T), other.data() + 1, other.size() - 1);
+        }
+        if (!is_done) throw TooNarrow();
+        return all;
+    }
+
+    // Numbers that each rank counts on its own, added up one by one.
+    template <class Count>
+    std::vector<int64_t> sum(Count&& count) {
+        size_t n = 0;
+        std::vector<int64_t> all = together([&] {
+            std::vector<int64_t> mine = count();
+            n = mine.size();
+            return mine;
+        });
+        for (size_t i = n; i < all.size(); ++i) all[i % n] += all[i];
+        all.resize(n);
+        return all;
+    }
+
+    // Tell the others which cells changed in the own tiles since the last step, and learn theirs.
+    struct Change {
+        int64_t word;
+        uint64_t cells;
+    };
+
+    std::vector<Change> changes() {
+        return together([&] {
+            std::vector<Change> mine;
+            for (int32_t id : band.own_core())
+                if (cells()[id] != occupied[band.word[id]]) mine.push_back({band.word[id], cells()[id]});
+            return mine;
+        });
+    }
+
+    void share_cells() {
+        if (!is_shared) return;
+        const std::vector<Change> all = changes();
+        for (int32_t id : band.core) set_cells(id, occupied[band.word[id]]);
+        for (const Change& change : all)
+            if (const int32_t id = band.find(change.word); id >= 0) set_cells(id, static_cast<uint32_t>(change.cells));
+    }
+
+    void set_cells(int32_t id, uint32_t bits) { cells()[id] = bits, free()[id] = fill()[id] & ~bits; }
+
+    // A token's site by a name that all ranks know: its number; who works alone uses his own.
+    uint64_t name(Site site) const { return is_shared ? number(site) : site; }
+
+    Site site_of(uint64_t name) const {
+        if (!is_shared) return static_cast<Site>(name);
+        const int64_t line = static_cast<int64_t>(name) / rows.width, at = static_cast<int64_t>(name) % rows.width;
+        const int32_t id = band.find(rows.row_of_line(line) * rows.tiles + at / kPlaces + 1);
+        return id < 0 ? kNowhere : static_cast<Site>(id * kLanes + rows.line_of_tile(line) * kPlaces + at % kPlaces);
+    }
+
+    bool is_own(Site site) const { return site != kNowhere && band.is_own(static_cast<int32_t>(site >> 5)); }
+
+    static constexpr Site kNowhere = ~Site{0};
+
+    // ----
 
     int64_t count_bits(const std::vector<int32_t>& ids, const uint32_t* bits) const {
         return kernels.count_bits(Ids{ids.data(), ids.size()}, bits);
@@ -118,19 +200,27 @@ class Stage {
 
     void add_word(Site site) { words.add(site, number(site)); }
 
-    // The `wanted` sites in words with the least (word, number).
-    std::vector<Site> first_of(Phase phase, int64_t wanted) {
-        std::vector<Site> first;
-        if (wanted >= static_cast<int64_t>(words.size())) {
-            for (size_t i = 0; i < words.size(); ++i) first.push_back(words.site(i));
-            return first;
+    // Fill the `wanted` sites in words, of all ranks, with the least (word, number).
+    void settle_first(Phase phase, int64_t wanted) {
+        struct Draw {
+            uint64_t word, number;
+            bool operator<(const Draw& other) const { return std::tie(word, number) < std::tie(other.word, other.number); }
+        };
+        if (!is_shared && wanted >= static_cast<int64_t>(words.size())) {
+            for (size_t i = 0; i < words.size(); ++i) settle_at(words.site(i));
+            return;
         }
         words.draw(kernels, step, phase, key);
-        std::vector<std::tuple<uint32_t, uint64_t, Site>> order(words.size());
-        for (size_t i = 0; i < order.size(); ++i) order[i] = {words.word(i), number(words.site(i)), words.site(i)};
-        std::nth_element(order.begin(), order.begin() + wanted, order.end());
-        for (int64_t i = 0; i < wanted; ++i) first.push_back(std::get<2>(order[i]));
-        return first;
+        auto draw = [&](size_t i) { return Draw{words.word(i), number(words.site(i))}; };
+        std::vector<Draw> order = together([&] {
+            std::vector<Draw> mine(words.size());
+            for (size_t i = 0; i < mine.size(); ++i) mine[i] = draw(i);
+            return mine;
+        });
+        const bool takes_all = wanted >= static_cast<int64_t>(order.size());
+        if (!takes_all) std::nth_element(order.begin(), order.begin() + wanted, order.end());
+        for (size_t i = 0; i < words.size(); ++i)
+            if (takes_all || draw(i) < order[wanted]) settle_at(words.site(i));
     }
 
     // Sites within some hops of a free one, whatever lies between.
@@ -196,6 +286,9 @@ class Stage {
     Band<D> band;
     int64_t step;
     bool is_whole = false, too_flat = false;
+    Team* team = nullptr;
+    bool is_shared = false;  // with the other ranks, this step
+    int64_t sight = 0;       // then: hops about the own tiles within which layer and cells are those of all
     Words words;
     Work work;
 

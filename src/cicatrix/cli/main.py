@@ -14,6 +14,7 @@ from typing import NoReturn
 
 from .. import __version__
 from ..core.errors import CicatrixError, ConvergenceError, InputError
+from ..core.ranks import world
 from . import bench, check, demo, run, segment
 
 VERBS = (demo, run, check, segment, bench)  # in the order of the road
@@ -61,6 +62,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = argparse.Namespace()
     try:
         args = build_parser().parse_args(argv)
+        if world().size > 1 and args.verb != run.VERB:
+            raise InputError(f"cicatrix {args.verb} runs in one process: start it without mpiexec")
         return args.run(args)
     except SystemExit as leaving:  # --help and --version
         return leaving.code if isinstance(leaving.code, int) else DONE
@@ -89,7 +92,13 @@ def _tell(error: CicatrixError) -> int:
 
 
 def _say(sentence: str) -> None:
-    print(f"cicatrix: {sentence}", file=sys.stderr)
+    """Tell the user, once for all ranks."""
+    try:
+        is_first = world().is_first
+    except InputError:  # which is what is to be told
+        is_first = True
+    if is_first:
+        print(f"cicatrix: {sentence}", file=sys.stderr)
 
 
 def _write_traceback() -> str:

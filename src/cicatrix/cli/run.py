@@ -7,17 +7,20 @@ from pathlib import Path
 
 import cicatrix
 
+from ..core.ranks import world
 from ..io.cases import load_case
+from ..io.progress import Progress
 from .arguments import add_case, add_overrides
 from .headline import print_headline
 from .progress import make_progress
 
+VERB = "run"  # the one verb that several ranks can do together
 AFTER_INTERRUPTION = "; the last checkpoint is kept, the same command with --resume goes on"
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
-    parser = verbs.add_parser("run", help="run a case file", allow_abbrev=False)
+    parser = verbs.add_parser(VERB, help="run a case file", allow_abbrev=False)
     add_case(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, help="the run's folder (default: runs/NAME of the case file)"
@@ -30,10 +33,12 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Load the case, run it, print the headline."""
     case = load_case(args.case, args.set)
-    progress = make_progress()
+    is_first = world().is_first
+    progress = make_progress() if is_first else Progress()
     try:
         results = cicatrix.simulate(case, args.out or Path("runs") / args.case.stem, args.resume, progress)
     finally:
         progress.close()
-    print_headline(results)
+    if is_first:
+        print_headline(results)
     return 0

@@ -14,6 +14,7 @@ import numpy as np
 from ..core import native
 from ..core.errors import InputError, InvariantError
 from ..core.random import MAX_SEED
+from ..core.ranks import Ranks
 from ..geometry.hexgrid import Lattice
 from .model import Cue
 from .redistribution import path_noise_limit
@@ -132,7 +133,9 @@ class Automaton:
         last = counts[-1, :4].tolist() if n_steps else ()
         return AutomatonState(core.occupancy(), core.step, *last)
 
-    def core(self, state: AutomatonState, threads: int | None = None, isa: str = "") -> NativeCore | TwinCore:
+    def core(
+        self, state: AutomatonState, threads: int | None = None, isa: str = "", ranks: Ranks | None = None
+    ) -> NativeCore | TwinCore:
         """Return what does the steps from a state on: the compiled core where there is one, its NumPy twin elsewhere.
 
         Parameters
@@ -141,6 +144,9 @@ class Automaton:
             Threads of the compiled core; default: ``CICATRIX_THREADS``, or 1. The answer does not depend on it.
         isa : str
             Instruction set, one of ``native.instruction_sets()``; "" for the best of this machine.
+        ranks : Ranks, optional
+            Ranks that do the steps together, each with the same automaton and state; default: this process alone. The
+            twin does the whole on every rank.
         """
         if state.occupancy.shape != self.lattice.shape:
             raise InputError(f"the state's lattice {state.occupancy.shape} is not the automaton's {self.lattice.shape}")
@@ -149,7 +155,7 @@ class Automaton:
         arguments = (self.lattice, self.fillable, state.occupancy, self.rules, self.seed, state.step)
         if not native.is_native:
             return TwinCore(*arguments)
-        return NativeCore(*arguments, threads=threads or native.threads(), isa=isa)
+        return NativeCore(*arguments, threads=threads or native.threads(), isa=isa, ranks=ranks)
 
     def checked(self, cue: Cue) -> tuple[np.ndarray, float]:
         """Return W as (1,) or (n_sites,) float64 array, and W_ref.
@@ -189,8 +195,10 @@ class NativeCore:
         threads: int = 1,
         tiles_per_piece: int = 1024,
         isa: str = "",
+        ranks: Ranks | None = None,
     ) -> None:
         self.shape = lattice.shape
+        self._ranks = ranks or Ranks()
         assert native.automaton_core is not None
         self._cells = native.automaton_core(
             list(lattice.shape),
@@ -236,11 +244,13 @@ class NativeCore:
         return unpack_rows(self._cells.occupancy(), self.shape)
 
     def advance(self, n_steps: int, W: np.ndarray, W_ref: float) -> np.ndarray:
-        """As ``TwinCore.advance``."""
-        try:
-            return self._cells.advance(n_steps, W, W_ref)
-        except native.InvariantFault as error:
-            raise InvariantError(f"the automaton at step {self.step}: {error}") from error
+        """As ``TwinCore.advance``; all ranks must call it alike."""
+        team = self._ranks if self._ranks.size > 1 else None
+        with self._ranks.or_none():
+            try:
+                return self._cells.advance(n_steps, W, W_ref, team)
+            except native.InvariantFault as error:
+                raise InvariantError(f"the automaton at step {self.step}: {error}") from error
 
 
 def pack_rows(mask: np.ndarray) -> np.ndarray:

@@ -1,15 +1,21 @@
-"""Healing alone: the automaton from a fresh wound to closure, step by step."""
+"""Healing alone: the automaton from a fresh wound to closure, step by step, by one process or by several ranks.
+
+The first rank has the run's folder and leads; the others do its steps with it.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..core import native
 from ..core.errors import InputError
+from ..core.ranks import Ranks, world
 from ..healing.automaton import Automaton, AutomatonState, NativeCore, pack_rows, unpack_rows
 from ..healing.twin import TwinCore
 from ..study.automaton import automaton_of, cue_of
@@ -29,6 +35,7 @@ class AutomatonRun:
     case: AutomatonCase
     folder: RunFolder
     progress: Progress
+    ranks: Ranks = field(default_factory=world)
     fronts: list[np.ndarray] = field(default_factory=list)  # occupancies as rows of bits
     steps_of_fronts: list[int] = field(default_factory=list)
     seconds: float = 0.0
@@ -37,30 +44,41 @@ class AutomatonRun:
 
     def go(self) -> str:
         """Run to closure or to the last step; returns the sentence that ends the run."""
-        with self.progress.stage("lattice"):
-            try:
-                automaton = automaton_of(self.case)
-                cue = automaton.checked(cue_of(self.case))
-                state = self._start(automaton)
-                core = automaton.core(state)
-            except MemoryError:
-                raise InputError(
-                    f"lattice.size {list(self.case.lattice.size)} does not fit into this machine's memory"
-                ) from None
-            self.folder.note(_how())
+        with self.ranks.uninterrupted() as interruption:
+            with self.progress.stage("lattice"):
+                automaton, cue = self.ranks.agree(lambda: _model(self.case))
+                state = self.ranks.share(self.ranks.agree(lambda: self._start(automaton)))
+                core = self.ranks.agree(lambda: _core(self.case, automaton, state, self.ranks))
+                self.folder.note(_how(self.ranks))
+            with self.progress.stage("heal"):
+                n_open = self._heal(automaton, core, cue, interruption)
+            with self.progress.stage("outcome"):
+                return self._finish(automaton, core, n_open)
+
+    def _heal(
+        self,
+        automaton: Automaton,
+        core: NativeCore | TwinCore,
+        cue: tuple[np.ndarray, float],
+        interruption: Callable[[], bool],
+    ) -> int:
+        """Do the steps, the other ranks with them; returns the sites that are open at the end."""
         n_fillable, n_open0 = int(np.count_nonzero(automaton.fillable)), int(np.count_nonzero(automaton.open0))
-        n_open = n_fillable - state.n_cells
-        with self.progress.stage("heal"):
-            try:
-                while n_open and core.step < self.case.run.max_steps:
-                    n_open = self._step(core, cue, n_fillable, n_open0)
-            except KeyboardInterrupt:
-                if core.step > self.last_row:  # it came between a step and its row
-                    self._record(core, n_fillable, n_open0)
-                self._save(core)
-                raise
-        with self.progress.stage("outcome"):
-            return self._finish(automaton, core, n_open)
+        n_open = n_fillable - int(np.count_nonzero(core.occupancy()))
+        try:
+            while n_open and core.step < self.case.run.max_steps and not interruption():
+                self.ranks.share(True)
+                n_open = self._step(core, cue, n_fillable, n_open0)
+            if interruption():
+                raise KeyboardInterrupt
+        except KeyboardInterrupt:
+            if core.step > self.last_row:  # it came between a step and its row
+                self._record(core, n_fillable, n_open0)
+            self._save(core)
+            raise
+        finally:
+            self.ranks.share(False)
+        return n_open
 
     def _step(self, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float], n_fillable: int, n_open0: int) -> int:
         """Do a step and write its row; returns the sites that are open after it."""
@@ -127,10 +145,42 @@ class AutomatonRun:
         return f"The wound closed after {closed} steps."
 
 
-def _how() -> str:
+def follow(case: AutomatonCase, ranks: Ranks) -> None:
+    """Do the steps of the run that the first rank leads: what it asks of all, in its order."""
+    with ranks.uninterrupted():
+        automaton, cue = ranks.agree(lambda: _model(case))
+        state = ranks.share(ranks.agree(automaton.initial_state))
+        core = ranks.agree(lambda: _core(case, automaton, state, ranks))
+        while ranks.share(False):
+            core.advance(1, *cue)
+
+
+def _model(case: AutomatonCase) -> tuple[Automaton, tuple[np.ndarray, float]]:
+    with _in_memory(case):
+        automaton = automaton_of(case)
+        return automaton, automaton.checked(cue_of(case))
+
+
+def _core(case: AutomatonCase, automaton: Automaton, state: AutomatonState, ranks: Ranks) -> NativeCore | TwinCore:
+    with _in_memory(case):
+        return automaton.core(state, ranks=ranks)
+
+
+@contextmanager
+def _in_memory(case: AutomatonCase) -> Iterator[None]:
+    try:
+        yield
+    except MemoryError:
+        raise InputError(f"lattice.size {list(case.lattice.size)} does not fit into this machine's memory") from None
+
+
+def _how(ranks: Ranks) -> str:
+    together = f" on {ranks.size} ranks" if ranks.size > 1 else ""
     if not native.is_native:
-        return "The NumPy automaton did the steps."
-    return f"The compiled automaton did the steps ({native.instruction_sets()[-1]}, {native.threads()} threads)."
+        return f"The NumPy automaton did the steps{together}."
+    return (
+        f"The compiled automaton did the steps ({native.instruction_sets()[-1]}, {native.threads()} threads){together}."
+    )
 
 
 def _row(step: int, n_cells: int, n_open: int, closed: float, n_edge: int, n_layer: int) -> dict[str, float | int]:

@@ -1,0 +1,112 @@
+"""What the ranks of test_ranks.py do: started by mpiexec, ends with a line of JSON by the first rank."""
+
+import hashlib
+import json
+import os
+import signal
+import sys
+from pathlib import Path
+
+import numpy as np
+from test_automaton_core import random_case
+
+import cicatrix
+from cicatrix.core.ranks import world
+from cicatrix.geometry.hexgrid import Lattice
+from cicatrix.healing.automaton import Automaton, AutomatonRules, NativeCore
+from cicatrix.healing.model import Cue
+from cicatrix.io.progress import Progress
+
+N_STEPS = 5
+
+
+def large_case(i):
+    """A front of many shares; in 2-D with masks and more divisions than there is room for, and a ball."""
+    shape, radius = [((300, 400), 120), ((260, 300), 100), ((60, 60, 80), 22), ((500, 90), 40)][i]
+    lattice = Lattice(shape, 0.01, (0.0,) * len(shape))
+    fillable = np.random.default_rng(i).random(shape) >= (0.05 if i == 1 else 0.0)
+    open0 = np.linalg.norm(lattice.positions() - lattice.position(np.array(shape) / 2), axis=-1) < 0.01 * radius
+    rules = AutomatonRules(
+        p_edge=0.2, p_layer=0.3 if i == 1 else 0.03, layer_sites=8 if i < 2 else 3, motility_substeps=4
+    )
+    return Automaton(lattice, fillable, open0 & fillable, rules, i), Cue(0.5, 1.0)
+
+
+CASES = [*(lambda i=i: random_case(i) for i in range(24)), *(lambda i=i: large_case(i) for i in range(4))]
+
+
+def core_of(automaton, ranks=None):
+    occupancy = automaton.initial_state().occupancy
+    return NativeCore(
+        automaton.lattice,
+        automaton.fillable,
+        occupancy,
+        automaton.rules,
+        automaton.seed,
+        0,
+        tiles_per_piece=1,
+        ranks=ranks,
+    )
+
+
+def digests(ranks=None):
+    """For each case a digest of all counts and cells, and how many ranks shared each step."""
+    out = []
+    for make in CASES:
+        automaton, cue = make()
+        core, digest, shared = core_of(automaton, ranks), hashlib.sha256(), []
+        for _ in range(N_STEPS):
+            digest.update(core.advance(1, *automaton.checked(cue)).tobytes())
+            digest.update(core.occupancy().tobytes())
+            shared.append(core.work["ranks"])
+        out.append((digest.hexdigest(), shared))
+    return out
+
+
+def all_digests():
+    ranks = world()
+    mine = digests(ranks)
+    everyone = [json.loads(other) for other in ranks.gather(json.dumps(mine).encode())]
+    return {"digests": mine, "alike": all(other == everyone[0] for other in everyone)}
+
+
+class Signaller(Progress):
+    """Sends the first rank what Ctrl-C does, at a step."""
+
+    def update(self, fraction, words=""):
+        if words == "step 12":
+            os.kill(os.getpid(), signal.SIGINT)
+
+
+def interrupted(path, out):
+    try:
+        cicatrix.simulate(cicatrix.load_case(path), Path(out), progress=Signaller())
+    except KeyboardInterrupt:
+        return "interrupted"
+    return "finished"
+
+
+class Failing:
+    """Ranks of which the last one fails in the middle of a step."""
+
+    def __init__(self):
+        self.n, ranks = 0, world()
+        self.rank, self.size, self._gather, self.or_none = ranks.rank, ranks.size, ranks.gather, ranks.or_none
+
+    def gather(self, mine):
+        self.n += 1
+        if self.n == 9 and self.rank == self.size - 1:
+            raise OSError("a fault of one rank")
+        return self._gather(mine)
+
+
+def one_fails():
+    automaton, cue = large_case(0)
+    core_of(automaton, Failing()).advance(3, *automaton.checked(cue))
+    return "never here"
+
+
+if __name__ == "__main__":
+    told = {"digests": all_digests, "interrupted": interrupted, "one-fails": one_fails}[sys.argv[1]](*sys.argv[2:])
+    if world().is_first:
+        print(json.dumps(told))

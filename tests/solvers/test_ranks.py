@@ -1,0 +1,165 @@
+"""Several MPI ranks give the bits of one process: started by mpiexec, for real."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from ranks_worker import digests
+
+import cicatrix
+from cicatrix.core import native, ranks
+from cicatrix.core.errors import InputError
+from cicatrix.io.cases import load_case
+
+BIN = Path(sys.executable).parent
+MPIEXEC = shutil.which("mpiexec", path=f"{BIN}{os.pathsep}{os.environ.get('PATH', '')}")
+WORKER = Path(__file__).with_name("ranks_worker.py")
+CASE = """
+kind = "automaton"
+[lattice]
+size = [300, 320]
+[wound]
+shape = "disc"
+radius_um = 1000.0
+[run]
+max_steps = 40
+"""
+
+needs_mpi = pytest.mark.skipif(MPIEXEC is None, reason="mpiexec is not there")
+needs_native = pytest.mark.skipif(not native.is_native, reason="the compiled module is not there")
+
+
+def mpiexec(n, *command):
+    """Start ranks, more than there are cores if need be; everything they say."""
+    environment = {**os.environ, "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+    environment |= {"OMPI_MCA_rmaps_base_oversubscribe": "1", "PRTE_MCA_rmaps_default_mapping_policy": ":oversubscribe"}
+    return subprocess.run(
+        [MPIEXEC, "-n", str(n), *map(str, command)], env=environment, capture_output=True, text=True, timeout=300
+    )
+
+
+def worker(n, *arguments):
+    done = mpiexec(n, sys.executable, WORKER, *arguments)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout.strip().splitlines()[-1])
+
+
+@pytest.fixture
+def case_file(tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_text(CASE)
+    return path
+
+
+@pytest.fixture(scope="module")
+def alone():
+    return [digest for digest, _ in digests()]
+
+
+@needs_mpi
+@needs_native
+@pytest.mark.parametrize("n", [2, 3, 5])
+def test_any_number_of_ranks_gives_the_same_bits(n, alone):
+    """28 cases: masks, several wounds, wounds at the frame, p = 0 and 1, both redistributions, energies per site."""
+    told = worker(n, "digests")
+    assert told["alike"]
+    assert [digest for digest, _ in told["digests"]] == alone
+    shared = [max(ranks_of_steps) for _, ranks_of_steps in told["digests"]]
+    assert shared[-4:] == [n] * 4  # the large ones, in every way of sharing
+    assert shared.count(n) >= 12
+
+
+@needs_mpi
+def test_a_run_on_three_ranks_is_the_run_of_one(case_file, tmp_path):
+    straight = cicatrix.simulate(load_case(case_file), tmp_path / "one")
+    done = mpiexec(3, BIN / "cicatrix", "run", case_file, "--out", tmp_path / "three")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("occupancy_sha256") == 1  # told once
+    assert straight.outcome["occupancy_sha256"].value in done.stdout
+    for name in ("history.csv", "figures/closure.png"):
+        assert (tmp_path / "three" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
+    assert "on 3 ranks" in (tmp_path / "three" / "manifest.json").read_text()
+
+
+@needs_mpi
+def test_a_run_stopped_on_three_ranks_goes_on_alone(case_file, tmp_path):
+    straight = cicatrix.simulate(load_case(case_file), tmp_path / "one")
+    assert worker(3, "interrupted", case_file, tmp_path / "three") == "interrupted"
+    resumed = cicatrix.simulate(load_case(case_file), tmp_path / "three", resume=True)
+    assert any("Resumed after cycle 12" in note for note in resumed.manifest["notes"])
+    assert (tmp_path / "three" / "history.csv").read_bytes() == (tmp_path / "one" / "history.csv").read_bytes()
+    assert resumed.outcome["occupancy_sha256"] == straight.outcome["occupancy_sha256"]
+
+
+@needs_mpi
+@needs_native
+def test_a_fault_of_one_rank_ends_all():
+    done = mpiexec(3, sys.executable, WORKER, "one-fails")
+    assert done.returncode != 0
+    assert "never here" not in done.stdout
+    assert "rank 2 failed, so all 3 are ended" in done.stderr
+    assert "a fault of one rank" in done.stderr
+
+
+@needs_mpi
+@pytest.mark.parametrize(
+    ("command", "sentence"),
+    [
+        (["run", "nosuch.toml"], "there is no such case file"),
+        (["demo"], "cicatrix demo runs in one process: start it without mpiexec"),
+        (["run", Path(__file__).parents[2] / "examples" / "lumpectomy-a13.toml"], "runs in one process"),
+    ],
+)
+def test_what_ranks_cannot_do_is_told_once(command, sentence, tmp_path):
+    done = mpiexec(2, BIN / "cicatrix", *command, "--out", tmp_path / "run")
+    assert done.returncode == 2
+    assert done.stderr.count("cicatrix: ") == 1
+    assert sentence in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+@needs_mpi
+def test_a_folder_that_is_taken_is_told_once(case_file, tmp_path):
+    cicatrix.simulate(load_case(case_file, ["run.max_steps=2"]), tmp_path / "run")
+    done = mpiexec(2, BIN / "cicatrix", "run", case_file, "--out", tmp_path / "run")
+    assert done.returncode == 2
+    assert done.stderr.count("holds a finished run") == 1
+
+
+@pytest.fixture
+def started(monkeypatch):
+    """As if mpiexec had started this process."""
+    ranks.world.cache_clear()
+    monkeypatch.setenv("OMPI_COMM_WORLD_SIZE", "3")
+    yield monkeypatch
+    ranks.world.cache_clear()
+
+
+def test_ranks_without_mpi4py_are_told_what_to_install(started):
+    started.setitem(sys.modules, "mpi4py", None)
+    with pytest.raises(InputError, match=r"3 ranks, but mpi4py cannot be loaded .* pip install 'cicatrix\[mpi\]'"):
+        ranks.world()
+
+
+@needs_mpi
+def test_mpiexec_of_another_library_is_told(case_file, tmp_path):
+    """The process is told of three ranks, and its MPI library knows of none."""
+    command = [BIN / "cicatrix", "run", case_file, "--out", tmp_path / "run"]
+    environment = {**os.environ, "OMPI_COMM_WORLD_SIZE": "3"}
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2
+    assert "mpiexec started 3 ranks, but mpi4py finds 1" in done.stderr
+    assert not (tmp_path / "run").exists()
+
+
+def test_one_process_is_one_rank(monkeypatch):
+    for name in (*ranks.SIZES, ranks.PMIX):
+        monkeypatch.delenv(name, raising=False)
+    alone = ranks.world.__wrapped__()
+    assert (alone.rank, alone.size, alone.is_first) == (0, 1, True)
+    assert alone.gather(b"x") == [b"x"]
+    assert alone.agree(lambda: alone.share(3)) == 3
