@@ -281,7 +281,7 @@ class Core final : public AutomatonCore {
 
     void keep_cells() {
         if (s_.is_shared)
-            for (const auto& change : s_.changes()) s_.occupied[change.word] = static_cast<uint32_t>(change.cells);
+            for (const auto& change : s_.changes(s_.band.own())) s_.occupied[change.word] = static_cast<uint32_t>(change.cells);
         else
             s_.pieces(s_.band.active, [&](int, Ids ids) {
                 for (size_t k = 0; k < ids.count; ++k) s_.occupied[s_.band.word[ids.first[k]]] = s_.cells()[ids.first[k]];

@@ -87,24 +87,25 @@ class Stage {
         return all;
     }
 
-    // Tell the others which cells changed in the own tiles since the last step, and learn theirs.
     struct Change {
         int64_t word;
         uint64_t cells;
     };
 
-    std::vector<Change> changes() {
+    // Tell the others which cells changed in some own tiles since the last step, and learn theirs.
+    std::vector<Change> changes(const std::vector<int32_t>& ids) {
         return together([&] {
             std::vector<Change> mine;
-            for (int32_t id : band.own_core())
+            for (int32_t id : ids)
                 if (cells()[id] != occupied[band.word[id]]) mine.push_back({band.word[id], cells()[id]});
             return mine;
         });
     }
 
+    // What edge division and motility did; they change no tile beyond the core.
     void share_cells() {
         if (!is_shared) return;
-        const std::vector<Change> all = changes();
+        const std::vector<Change> all = changes(band.own_core());
         for (int32_t id : band.core) set_cells(id, occupied[band.word[id]]);
         for (const Change& change : all)
             if (const int32_t id = band.find(change.word); id >= 0) set_cells(id, static_cast<uint32_t>(change.cells));

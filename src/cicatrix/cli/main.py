@@ -9,15 +9,16 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Sequence
+from importlib import import_module
 from types import FrameType
 from typing import NoReturn
 
 from .. import __version__
 from ..core.errors import CicatrixError, ConvergenceError, InputError
 from ..core.ranks import world
-from . import bench, check, demo, run, segment
 
-VERBS = (demo, run, check, segment, bench)  # in the order of the road
+VERBS = ("demo", "run", "check", "segment", "bench")  # modules, in the order of the road
+ON_RANKS = ("run",)  # what several ranks can do together
 
 DONE, INPUT_AT_FAULT, FAILED, INTERRUPTED = 0, 2, 3, 130
 
@@ -40,8 +41,8 @@ def build_parser() -> Parser:
     )
     parser.add_argument("--version", action="version", version=f"cicatrix {__version__}")
     verbs = parser.add_subparsers(title="verbs", dest="verb", metavar="VERB", required=True)
-    for verb in VERBS:
-        verb.add_parser(verbs)
+    for verb in VERBS:  # loaded here, so that an interruption meanwhile is one too
+        import_module(f".{verb}", __package__).add_parser(verbs)
     return parser
 
 
@@ -62,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     args = argparse.Namespace()
     try:
         args = build_parser().parse_args(argv)
-        if world().size > 1 and args.verb != run.VERB:
+        if args.verb not in ON_RANKS and world().size > 1:
             raise InputError(f"cicatrix {args.verb} runs in one process: start it without mpiexec")
         return args.run(args)
     except SystemExit as leaving:  # --help and --version

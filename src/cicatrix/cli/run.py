@@ -14,13 +14,12 @@ from .arguments import add_case, add_overrides
 from .headline import print_headline
 from .progress import make_progress
 
-VERB = "run"  # the one verb that several ranks can do together
 AFTER_INTERRUPTION = "; the last checkpoint is kept, the same command with --resume goes on"
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
     """Add the verb."""
-    parser = verbs.add_parser(VERB, help="run a case file", allow_abbrev=False)
+    parser = verbs.add_parser("run", help="run a case file", allow_abbrev=False)
     add_case(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=Path, help="the run's folder (default: runs/NAME of the case file)"
