@@ -106,7 +106,7 @@ class Stage {
     void share_cells() {
         if (!is_shared) return;
         const std::vector<Change> all = changes(band.own_core());
-        for (int32_t id : band.core) set_cells(id, occupied[band.word[id]]);
+        load();
         for (const Change& change : all)
             if (const int32_t id = band.find(change.word); id >= 0) set_cells(id, static_cast<uint32_t>(change.cells));
     }

@@ -64,7 +64,7 @@ def alone():
 @needs_native
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_any_number_of_ranks_gives_the_same_bits(n, alone):
-    """29 cases: masks, several wounds, wounds at the frame, p = 0 and 1, both redistributions, energies per site."""
+    """30 cases: masks, several wounds, wounds at the frame, p = 0 and 1, both redistributions, energies per site."""
     told = worker(n, "digests")
     assert told["alike"]
     assert [digest for digest, _ in told["digests"]] == alone
