@@ -73,7 +73,7 @@ def mesh_section(
     border = cavity if cavity is not None else (lambda p: np.full(len(p), 1e3))
     mesh = mmgpy.MmgMesh2D(points, triangles.astype(np.int32))
     distance = border(points)
-    mesh["metric"] = _sizes(distance, edge_mm, cavity_edge_mm)[:, None]
+    mesh["metric"] = element_sizes(distance, edge_mm, cavity_edge_mm)[:, None]
     sizes = {"hmin": 0.3 * cavity_edge_mm, "hmax": edge_mm, "hgrad": 1.3}
     points, triangles, refs = _cut(mesh, distance, hausd=HAUSDORFF_MM, **sizes)
     _check(points, triangles, cavity is None or bool((refs == INSIDE).any()))
@@ -93,7 +93,8 @@ def label_borders(mesh: skfem.MeshTri, is_wall: Callable[[np.ndarray], np.ndarra
     return mesh.with_boundaries({"wall": facets[wall], "skin": facets[~wall]})
 
 
-def _sizes(distance: np.ndarray, edge_mm: float, cavity_edge_mm: float) -> np.ndarray:
+def element_sizes(distance: np.ndarray, edge_mm: float, cavity_edge_mm: float) -> np.ndarray:
+    """Element edge that grows away from the cavity's border: distance (n,) [mm] -> (n,) [mm]."""
     return np.clip(
         cavity_edge_mm + 0.2 * np.maximum(np.abs(distance) - 2.0 * cavity_edge_mm, 0.0), cavity_edge_mm, edge_mm
     )

@@ -1,0 +1,146 @@
+"""A tetrahedral mesh in the making: cut by a level set, remeshed (both MMG), fitted onto a surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mmgpy
+import numpy as np
+
+from .meshing import INSIDE, Function
+from .tetrahedra import area_vectors, border, oriented, used_only, volumes
+
+SPLIT_ONLY = {"noinsert": True, "noswap": True, "nomove": True}
+GRADATION = 1.3  # edges that meet differ by no more than this factor
+LEAST_SHRINK = 0.3  # share of its volume that an element keeps when it is fitted
+STEP_MM = 1e-3  # of the differences that give a distance's gradient
+BOX_REF = 20  # MMG's reference number of triangles on the first face of the box; 0 to 10 are its own
+
+
+@dataclass(frozen=True, eq=False)
+class Solid:
+    """Tetrahedra, and which of their faces lie on the box around the image.
+
+    Parameters
+    ----------
+    nodes : (n, 3) array [mm]
+    tetrahedra : (m, 4) int32 array
+        Positively oriented.
+    refs : (m,) int32 array
+        `INSIDE` where the last level set is negative.
+    flat : (k, 3) int32 array
+        Triangles on the box.
+    flat_refs : (k,) int32 array
+        `BOX_REF`, plus 0 to 2 on the low x, y, z faces of the box and 3 to 5 on the high ones.
+    box : (2, 3) array [mm]
+        Low and high corner.
+    """
+
+    nodes: np.ndarray
+    tetrahedra: np.ndarray
+    refs: np.ndarray
+    flat: np.ndarray
+    flat_refs: np.ndarray
+    box: np.ndarray
+
+    def inside(self) -> Solid:
+        """Keep what is inside the level set."""
+        nodes, tetrahedra = used_only(self.nodes, self.tetrahedra[self.refs == INSIDE])
+        refs = np.zeros(len(tetrahedra), np.int32)
+        return replace(self, nodes=nodes, tetrahedra=tetrahedra, refs=refs)
+
+    def with_flat_faces(self) -> Solid:
+        """Find the triangles on the box by their position."""
+        faces = border(self.tetrahedra)
+        hit = np.isclose(self.nodes[faces][:, :, None], self.box, rtol=0, atol=1e-6).all(axis=1).reshape(-1, 6)
+        on_box = hit.any(axis=1)
+        refs = (BOX_REF + hit[on_box].argmax(axis=1)).astype(np.int32)
+        return replace(self, flat=faces[on_box].astype(np.int32), flat_refs=refs)
+
+    def is_flat(self, faces: np.ndarray) -> np.ndarray:
+        """Which outer faces (k, 3) lie on the box (k,)."""
+        _, group = np.unique(np.sort(np.concatenate([self.flat, faces]), axis=1), axis=0, return_inverse=True)
+        group = group.ravel()
+        return np.isin(group[len(self.flat) :], group[: len(self.flat)])
+
+    def free(self) -> np.ndarray:
+        """Directions in which nodes may move (n, 3) of 0 or 1: those on the box stay on it."""
+        out = np.ones_like(self.nodes)
+        for ref in np.unique(self.flat_refs):
+            out[self.flat[self.flat_refs == ref].ravel(), (ref - BOX_REF) % 3] = 0
+        return out
+
+
+def split(solid: Solid, level: np.ndarray) -> Solid:
+    """Cut elements where the level set (n,) is zero, and say which are inside."""
+    mesh = _mmg(solid)
+    mesh.remesh_levelset(np.ascontiguousarray(level, float)[:, None], verbose=-1, **SPLIT_ONLY)
+    return _solid(mesh, solid.box)
+
+
+def remesh(solid: Solid, size: np.ndarray, hausdorff_mm: float) -> Solid:
+    """Remesh to the edge ``size`` (n,) [mm] at each node; borders between refs stay."""
+    mesh = _mmg(solid)
+    mesh["metric"] = np.ascontiguousarray(size, float)[:, None]
+    limits = {"hmin": 0.3 * float(size.min()), "hmax": float(size.max())}
+    mesh.remesh(verbose=-1, hausd=hausdorff_mm, hgrad=GRADATION, **limits)
+    return _solid(mesh, solid.box)
+
+
+def fitted(solid: Solid, faces: np.ndarray, distance: Function, *, by_face: bool = False) -> Solid:
+    """Move the nodes of some faces (k, 3) onto a surface, or, ``by_face``, so that the faces lie half in and half out.
+
+    Where an element would lose more than `LEAST_SHRINK` allows, its nodes go half the way, or a quarter, ...
+    """
+    at = np.unique(faces)
+    off = _mean_distance(solid.nodes, faces, distance)[at] if by_face else distance(solid.nodes[at])
+    slope = _gradient(distance, solid.nodes[at]) * solid.free()[at]
+    square = np.sum(slope**2, axis=1, keepdims=True)
+    move = np.zeros_like(solid.nodes)
+    move[at] = np.where(square > 0.1, -off[:, None] * slope / np.maximum(square, 0.1), 0.0)
+    least = LEAST_SHRINK * volumes(solid.nodes, solid.tetrahedra)
+    for _ in range(8):
+        squeezed = volumes(solid.nodes + move, solid.tetrahedra) < least
+        if not squeezed.any():
+            return replace(solid, nodes=solid.nodes + move)
+        move[np.unique(solid.tetrahedra[squeezed])] *= 0.5
+    return solid
+
+
+def _mean_distance(nodes: np.ndarray, faces: np.ndarray, distance: Function) -> np.ndarray:
+    """Mean over the faces (k, 3) around each node, by area (n,) [mm]; exact where the distance is quadratic."""
+    corners = nodes[faces]
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
+    off = distance(middles.reshape(-1, 3)).reshape(-1, 3).mean(axis=1)
+    area = np.linalg.norm(area_vectors(nodes, faces), axis=1)
+    total, weight = (
+        np.bincount(faces.ravel(), np.repeat(value, 3), len(nodes)) for value in (off * area, np.maximum(area, 1e-12))
+    )
+    return total / np.maximum(weight, 1e-12)
+
+
+def _gradient(distance: Function, points: np.ndarray) -> np.ndarray:
+    """Central differences (n, 3)."""
+    steps = STEP_MM * np.eye(3)
+    return np.stack([distance(points + h) - distance(points - h) for h in steps], axis=-1) / (2 * STEP_MM)
+
+
+def _mmg(solid: Solid) -> mmgpy.MmgMesh3D:
+    mesh = mmgpy.MmgMesh3D()
+    mesh.set_mesh_size(vertices=len(solid.nodes), tetrahedra=len(solid.tetrahedra), triangles=len(solid.flat))
+    mesh.set_vertices(solid.nodes)
+    mesh.set_tetrahedra(solid.tetrahedra, solid.refs)
+    if len(solid.flat):
+        mesh.set_triangles(solid.flat, solid.flat_refs)
+    return mesh
+
+
+def _solid(mesh: mmgpy.MmgMesh3D, box: np.ndarray) -> Solid:
+    nodes = mesh.get_vertices()
+    tetrahedra, refs = mesh.get_tetrahedra_with_refs()
+    triangles, marks = mesh.get_triangles_with_refs()
+    flat, flat_refs = triangles[marks >= BOX_REF], marks[marks >= BOX_REF]
+    for ref in np.unique(flat_refs):
+        end, axis = divmod(int(ref) - BOX_REF, 3)
+        nodes[flat[flat_refs == ref].ravel(), axis] = box[end, axis]
+    return Solid(nodes, oriented(nodes, tetrahedra), refs, flat, flat_refs, box)
