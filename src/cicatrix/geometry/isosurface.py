@@ -18,8 +18,29 @@ LEVEL = 0.5  # a voxel on the surface is half body
 MARGIN = 4  # voxels around the body that are kept
 
 
-def body_share(labels: Volume, tissue: Volume | None = None) -> tuple[Volume, tuple[str, ...]]:
-    """Share of the body in each voxel, cut to the box around its largest piece, without holes.
+@dataclass(frozen=True, eq=False)
+class Segmented:
+    """The body that an image shows.
+
+    Parameters
+    ----------
+    share : Volume
+        (nz, ny, nx) float32, share of the body in each voxel, 0 .. 1; ends where the image ends, or a few voxels off the body.
+    volume : float
+        Of the largest piece with its holes filled, thin parts included [mm^3].
+    notes : tuple of str
+        What was averaged, left out or filled.
+    """
+
+    share: Volume
+    volume: float
+    notes: tuple[str, ...]
+
+
+def segmented_body(
+    labels: Volume, tissue: Volume | None = None, *, finest_mm: float = 0.0, thin_mm: float = 0.0
+) -> Segmented:
+    """Take the body from a label map: its largest piece, without holes and without sheets and spikes.
 
     Parameters
     ----------
@@ -27,18 +48,15 @@ def body_share(labels: Volume, tissue: Volume | None = None) -> tuple[Volume, tu
         (nz, ny, nx) of `Label`; the body is what is fat, gland, skin or tumour.
     tissue : Volume, optional
         Share 0 .. 1 of tissue in each voxel of the same grid; left out, each voxel counts whole or not at all.
-
-    Returns
-    -------
-    Volume
-        (nz, ny, nx) float32, 0 .. 1; it ends where the image ends, or `MARGIN` voxels off the body.
-    tuple of str
-        What was left out or filled.
+    finest_mm : float
+        Smaller voxels are averaged to about this edge [mm].
+    thin_mm : float
+        What a ball of this diameter cannot reach from inside is left out [mm].
 
     Raises
     ------
     InputError
-        If the labels hold no breast, or the grids differ.
+        If the labels hold no breast, the grids differ, or the breast is too thin.
     """
     if tissue is not None and tissue.shape != labels.shape:
         raise InputError(
@@ -50,23 +68,39 @@ def body_share(labels: Volume, tissue: Volume | None = None) -> tuple[Volume, tu
             "labels: no voxel of the breast; at least one of 1 fat, 2 gland, 3 skin or 4 tumour is needed."
         )
     box = _box(mask)
-    mask = mask[box]
-    body, notes = _whole(mask)
-    share = body.astype(np.float32)
-    if tissue is not None:
-        near = ndi.binary_dilation(body)
-        filled = body & ~mask
-        share = np.where(near & ~filled, np.clip(tissue.values[box], 0, 1), share).astype(np.float32)
-    origin = labels.position(np.array([s.start for s in box]))
-    out = Volume(share, labels.spacing_mm, (float(origin[0]), float(origin[1]), float(origin[2])))
-    return out, notes
+    values = mask[box] if tissue is None else np.clip(tissue.values[box], 0, 1)
+    start = labels.position(np.array([s.start for s in box]))
+    share, notes = _averaged(Volume(values.astype(np.float32), labels.spacing_mm, _triple(start)), finest_mm)
+    whole, more = _whole(share.values > LEVEL)
+    thick = _opened(whole, thin_mm / np.asarray(share.spacing_mm[::-1]))
+    if n_thin := int(whole.sum() - thick.sum()):
+        more += (f"parts thinner than {thin_mm:.1f} mm left out, {n_thin} of {whole.sum()} voxels",)
+    volume = _kept(share, whole).values.sum(dtype=float) * np.prod(share.spacing_mm)
+    return Segmented(_kept(share, thick), float(volume), (*notes, *more))
 
 
-def _box(mask: np.ndarray) -> tuple[slice, slice, slice]:
+def _triple(numbers: np.ndarray) -> tuple[float, float, float]:
+    x, y, z = np.asarray(numbers, float).tolist()
+    return x, y, z
+
+
+def _box(mask: np.ndarray) -> tuple[slice, ...]:
     """Box around a mask, `MARGIN` voxels wider."""
-    box = ndi.find_objects(mask.astype(np.uint8))[0]
-    z, y, x = (slice(max(s.start - MARGIN, 0), s.stop + MARGIN) for s in box)
-    return z, y, x
+    return tuple(slice(max(s.start - MARGIN, 0), s.stop + MARGIN) for s in ndi.find_objects(mask.astype(np.uint8))[0])
+
+
+def _averaged(share: Volume, finest_mm: float) -> tuple[Volume, tuple[str, ...]]:
+    """Mean over blocks of voxels, and a note where that changed anything."""
+    spacing = np.asarray(share.spacing_mm)
+    n = np.maximum(np.floor(finest_mm / spacing + 1e-6).astype(int), 1)
+    if np.all(n == 1):
+        return share, ()
+    kz, ky, kx = n[::-1].tolist()
+    nz, ny, nx = (size // k for size, k in zip(share.shape, (kz, ky, kx)))
+    blocks = share.values[: nz * kz, : ny * ky, : nx * kx].reshape(nz, kz, ny, ky, nx, kx)
+    origin = np.asarray(share.origin_mm) + 0.5 * (n - 1) * spacing
+    note = f"voxels averaged by {kx} x {ky} x {kz}, to {max(n * spacing):.2f} mm"
+    return Volume(blocks.mean(axis=(1, 3, 5)), _triple(n * spacing), _triple(origin)), (note,)
 
 
 def _whole(mask: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -76,14 +110,31 @@ def _whole(mask: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
     if n > 1:
         sizes = np.bincount(pieces.ravel())[1:]
         mask = pieces == 1 + int(np.argmax(sizes))
-        notes.append(
-            f"the largest of {n} pieces was kept; {sizes.sum() - sizes.max()} of {sizes.sum()} voxels left out"
+        notes.append(f"the largest of {n} pieces kept; {sizes.sum() - sizes.max()} of {sizes.sum()} voxels left out")
+    filled = np.asarray(ndi.binary_fill_holes(mask))
+    if n_holes := int(filled.sum() - mask.sum()):
+        notes.append(f"holes of {n_holes} voxels inside the body filled")
+    return filled, tuple(notes)
+
+
+def _opened(mask: np.ndarray, diameter: np.ndarray) -> np.ndarray:
+    """Largest piece of what a ball of ``diameter`` (3,) voxels reaches in a mask that may go on beyond the image."""
+    n = np.maximum(np.floor(diameter / 2).astype(int), 1)
+    offsets = np.stack(np.meshgrid(*[np.arange(-k, k + 1) for k in n], indexing="ij"), axis=-1)
+    ball = np.sum((offsets / np.maximum(diameter / 2, 1.0)) ** 2, axis=-1) <= 1.0
+    core = np.asarray(ndi.binary_erosion(mask, ball, border_value=1))
+    if not core.any():
+        raise InputError(
+            "labels: the breast is too thin to be meshed; give labels with smaller voxels, or a smaller mesh.edge_mm."
         )
-    filled = ndi.binary_fill_holes(mask)
-    n_holes = int(filled.sum() - mask.sum())  # pyright: ignore[reportOptionalMemberAccess]
-    if n_holes:
-        notes.append(f"holes of {n_holes} voxels inside the body were filled")
-    return filled, tuple(notes)  # pyright: ignore[reportReturnType]
+    return _whole(np.asarray(ndi.binary_dilation(core, ball)) & mask)[0]
+
+
+def _kept(share: Volume, body: np.ndarray) -> Volume:
+    """Share within a body of whole voxels (nz, ny, nx) and in the partly filled ones next to it; 0 elsewhere."""
+    near = np.asarray(ndi.binary_dilation(body)) & (share.values <= LEVEL)
+    inner = np.where(share.values > LEVEL, share.values, 1.0)  # a hole counts whole
+    return share.with_values(np.where(body, inner, np.where(near, share.values, 0.0)).astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,17 +174,18 @@ class Isosurface:
         return out
 
 
-def isosurface(share: Volume, smooth_voxels: float = 0.0) -> Isosurface:
+def isosurface(share: Volume, smooth_mm: np.ndarray | float = 0.0) -> Isosurface:
     """Surface where the smoothed share of the body is one half.
 
     Parameters
     ----------
     share : Volume
         (nz, ny, nx), 0 .. 1.
-    smooth_voxels : float
-        Standard deviation of the smoothing along each axis, in voxels: what is finer is the image's steps, not her shape.
+    smooth_mm : float or (3,) array [mm]
+        Standard deviation of the smoothing along x, y, z: what is finer is the image's steps, not her shape.
     """
-    u = share.with_values(ndi.gaussian_filter(share.values, smooth_voxels, mode="nearest"))
+    voxels = np.broadcast_to(smooth_mm / np.asarray(share.spacing_mm), 3)[::-1]
+    u = share.with_values(ndi.gaussian_filter(share.values, voxels, mode="nearest"))
     points = np.concatenate([_crossings(u, axis) for axis in range(3)])
     steps = 0.5 * np.diag(u.spacing_mm)
     slope = np.stack([(u.sample(points + h) - u.sample(points - h)) / h.sum() for h in steps], axis=-1)

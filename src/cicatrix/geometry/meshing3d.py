@@ -6,16 +6,18 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
-from scipy import ndimage as ndi
 
 from ..core.errors import InputError
-from .isosurface import LEVEL, Isosurface, body_share, isosurface, wall_side
+from .isosurface import Isosurface, Segmented, isosurface, segmented_body, wall_side
 from .mesh_quality import Quality, quality
-from .meshing import HAUSDORFF_MM, INSIDE, Function, element_sizes
+from .meshing import INSIDE, Function, element_sizes
 from .solid import Solid, fitted, remesh, split
 from .tetrahedra import bcc_lattice, border, used_only
 from .volume import Volume
 
+FINEST = 1 / 6  # voxels smaller than this share of an edge are averaged
+THIN = 2 / 3  # parts thinner than this share of an edge are left out
+FINENESS = 0.3  # how far an edge may leave the surface, in voxels
 LARGEST_N_CUBES = 500_000  # of the lattice: about six million elements
 
 
@@ -76,20 +78,21 @@ class Attempt:
 
     Parameters
     ----------
-    smooth_voxels : float
-        Smoothing of the share of the body, in voxels.
+    smooth_mm : float
+        Smoothing of the share of the body [mm]; no less than `LEAST_SMOOTHING` voxels along each axis.
     lattice_share : float
         Edge of the lattice that is cut, as a share of the elements' edge.
-    hausdorff_voxels : float
-        How far an edge may leave the surface, in voxels; at least `HAUSDORFF_MM`.
+    n_rounds : int
+        How often it is remeshed.
     """
 
-    smooth_voxels: float
+    smooth_mm: float
     lattice_share: float
-    hausdorff_voxels: float
+    n_rounds: int
 
 
-ATTEMPTS = (Attempt(0.8, 1.0, 0.3), Attempt(0.8, 0.7, 0.2), Attempt(0.6, 0.5, 0.2))
+LEAST_SMOOTHING = 0.8
+ATTEMPTS = (Attempt(0.0, 1.0, 2), Attempt(1.3, 0.7, 2), Attempt(0.0, 0.5, 3))
 
 
 @dataclass(frozen=True)
@@ -138,12 +141,11 @@ def mesh_body(
         within it, or a mesh that fails the gate in every attempt.
     """
     edges = _checked(edge_mm, cavity_edge_mm, cavity)
-    share, notes = body_share(labels, tissue)
-    _check_thickness(share)
+    body = segmented_body(labels, tissue, finest_mm=FINEST * edge_mm, thin_mm=THIN * edge_mm)
     is_wall, failed = wall_side(labels), []
     for attempt in ATTEMPTS:
         try:
-            mesh = _attempt(share, is_wall, edges, attempt, (*notes, *failed))
+            mesh = _attempt(body, is_wall, edges, attempt, (*body.notes, *failed))
         except RuntimeError as error:  # MMG's own word
             failed.append(f"{attempt}: {error}")
             continue
@@ -163,27 +165,27 @@ def _checked(edge_mm: float, cavity_edge_mm: float, cavity: Function | None) -> 
     return _Edges(edge_mm, min(edge_mm, cavity_edge_mm), cavity)
 
 
-def _check_thickness(share: Volume) -> None:
-    if not ndi.binary_erosion(share.values > LEVEL, np.ones((3, 3, 3)), border_value=1).any():  # pyright: ignore[reportCallIssue]
-        raise InputError("labels: the breast is thinner than three voxels everywhere; give labels with smaller voxels.")
-
-
 def _attempt(
-    share: Volume, is_wall: Function | None, edges: _Edges, attempt: Attempt, notes: tuple[str, ...]
+    segmented: Segmented, is_wall: Function | None, edges: _Edges, attempt: Attempt, notes: tuple[str, ...]
 ) -> BodyMesh:
     """Mesh once and measure."""
-    surface = isosurface(share, attempt.smooth_voxels)
-    hausdorff = max(HAUSDORFF_MM, attempt.hausdorff_voxels * max(share.spacing_mm))
+    share = segmented.share
+    surface = isosurface(share, np.maximum(attempt.smooth_mm, LEAST_SMOOTHING * np.asarray(share.spacing_mm)))
+    hausdorff = FINENESS * max(share.spacing_mm)
     body = _cut_lattice(surface, edges.far, attempt.lattice_share * edges.far)
-    body = _fitted_skin(remesh(body, edges.at(body.nodes), hausdorff), surface)
+    body = remesh(body, edges.at(body.nodes), hausdorff)
+    for _ in range(attempt.n_rounds - 2):
+        body = _fitted_skin(body, surface)
+        body = remesh(body, np.minimum(edges.at(body.nodes), _edge_for(body, surface, hausdorff)), hausdorff)
+    body = _fitted_skin(body, surface)
     if edges.cavity is not None:
         body = split(body, _level_in(body, edges.cavity))
-    body = remesh(body, edges.at(body.nodes), hausdorff)
+    body = remesh(body, np.minimum(edges.at(body.nodes), _edge_for(body, surface, hausdorff)), hausdorff)
     for by_face in (False, True):
         body = _fitted_skin(body, surface, by_face)
         if edges.cavity is not None:
             body = fitted(body, border(body.tetrahedra[body.refs == INSIDE]), edges.cavity, by_face=by_face)
-    return _measured(body, surface, share, is_wall, notes)
+    return _measured(body, surface, segmented, is_wall, notes)
 
 
 def _cut_lattice(surface: Isosurface, edge: float, lattice_edge: float) -> Solid:
@@ -219,8 +221,25 @@ def _box(surface: Isosurface, margin: float) -> np.ndarray:
 
 def _fitted_skin(body: Solid, surface: Isosurface, by_face: bool = False) -> Solid:
     """Put the outer nodes onto the surface; those where the image ends stay there."""
+    return fitted(body, _free_faces(body), surface.distance, by_face=by_face)
+
+
+def _free_faces(body: Solid) -> np.ndarray:
+    """Outer faces (k, 3) that do not lie where the image ends."""
     faces = border(body.tetrahedra)
-    return fitted(body, faces[~body.is_flat(faces)], surface.distance, by_face=by_face)
+    return faces[~body.is_flat(faces)]
+
+
+def _edge_for(body: Solid, surface: Isosurface, limit_mm: float) -> np.ndarray:
+    """Edge (n,) [mm] with which the outer faces would leave the surface by no more than the limit."""
+    faces = _free_faces(body)
+    corners = body.nodes[faces]
+    middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
+    off = np.abs(surface.distance(middles.reshape(-1, 3))).reshape(-1, 3).max(axis=1)
+    edge = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).mean(axis=1)
+    out = np.full(len(body.nodes), np.inf)
+    np.minimum.at(out, faces, (edge * np.clip(np.sqrt(limit_mm / np.maximum(off, 1e-9)), 0.3, 10.0))[:, None])
+    return out
 
 
 def _level_in(body: Solid, cavity: Function) -> np.ndarray:
@@ -236,7 +255,7 @@ def _level_in(body: Solid, cavity: Function) -> np.ndarray:
 
 
 def _measured(
-    body: Solid, surface: Isosurface, share: Volume, is_wall: Function | None, notes: tuple[str, ...]
+    body: Solid, surface: Isosurface, segmented: Segmented, is_wall: Function | None, notes: tuple[str, ...]
 ) -> BodyMesh:
     """Mark the outer faces and measure."""
     faces = border(body.tetrahedra)
@@ -250,8 +269,9 @@ def _measured(
         raise InputError(
             "labels: the breast touches neither chest wall (5) nor the image's edge, so that nothing holds it."
         )
-    volume = float(share.values.sum(dtype=float) * np.prod(share.spacing_mm))
     skin = marker == Border.SKIN
-    measures = quality(body.nodes, body.tetrahedra, faces, skin, (isosurface(share), surface), on_skin, volume)
+    measures = quality(
+        body.nodes, body.tetrahedra, faces, skin, (isosurface(segmented.share), surface), on_skin, segmented.volume
+    )
     region = np.where(body.refs == INSIDE, Region.CAVITY, Region.TISSUE).astype(np.uint8)
     return BodyMesh(body.nodes, body.tetrahedra, region, faces, marker, measures, notes)

@@ -8,11 +8,11 @@ import mmgpy
 import numpy as np
 
 from .meshing import INSIDE, Function
-from .tetrahedra import area_vectors, border, oriented, used_only, volumes
+from .tetrahedra import area_vectors, border, dihedral_angles, oriented, used_only, volumes
 
 SPLIT_ONLY = {"noinsert": True, "noswap": True, "nomove": True}
 GRADATION = 1.3  # edges that meet differ by no more than this factor
-LEAST_SHRINK = 0.3  # share of its volume that an element keeps when it is fitted
+LEAST_ANGLE_DEG = 15.0  # dihedral angle that fitting leaves an element, or what it had if that was less
 STEP_MM = 1e-3  # of the differences that give a distance's gradient
 BOX_REF = 20  # MMG's reference number of triangles on the first face of the box; 0 to 10 are its own
 
@@ -90,7 +90,7 @@ def remesh(solid: Solid, size: np.ndarray, hausdorff_mm: float) -> Solid:
 def fitted(solid: Solid, faces: np.ndarray, distance: Function, *, by_face: bool = False) -> Solid:
     """Move the nodes of some faces (k, 3) onto a surface, or, ``by_face``, so that the faces lie half in and half out.
 
-    Where an element would lose more than `LEAST_SHRINK` allows, its nodes go half the way, or a quarter, ...
+    Where an element would get angles below `LEAST_ANGLE_DEG`, its nodes go half the way, or a quarter, ...
     """
     at = np.unique(faces)
     off = _mean_distance(solid.nodes, faces, distance)[at] if by_face else distance(solid.nodes[at])
@@ -98,13 +98,25 @@ def fitted(solid: Solid, faces: np.ndarray, distance: Function, *, by_face: bool
     square = np.sum(slope**2, axis=1, keepdims=True)
     move = np.zeros_like(solid.nodes)
     move[at] = np.where(square > 0.1, -off[:, None] * slope / np.maximum(square, 0.1), 0.0)
-    least = LEAST_SHRINK * volumes(solid.nodes, solid.tetrahedra)
-    for _ in range(8):
-        squeezed = volumes(solid.nodes + move, solid.tetrahedra) < least
-        if not squeezed.any():
-            return replace(solid, nodes=solid.nodes + move)
-        move[np.unique(solid.tetrahedra[squeezed])] *= 0.5
-    return solid
+    return replace(solid, nodes=solid.nodes + _damped(solid, move))
+
+
+def _damped(solid: Solid, move: np.ndarray) -> np.ndarray:
+    """Halve moves (n, 3) [mm] of nodes until no element gets worse than it may."""
+    moved = solid.tetrahedra[(move != 0).any(axis=1)[solid.tetrahedra].any(axis=1)]
+    least = np.minimum(_worst_angle(solid.nodes, moved), LEAST_ANGLE_DEG)
+    for _ in range(6):
+        bad = _worst_angle(solid.nodes + move, moved) < least
+        if not bad.any():
+            return move
+        move = np.where(np.isin(np.arange(len(move)), moved[bad])[:, None], 0.5 * move, move)
+    return np.where(np.isin(np.arange(len(move)), moved[bad])[:, None], 0.0, move)
+
+
+def _worst_angle(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Smallest dihedral angle (m,) [degrees], negative where inverted."""
+    angle = dihedral_angles(nodes, tetrahedra).min(axis=1)
+    return np.where(volumes(nodes, tetrahedra) > 0, angle, -1.0)
 
 
 def _mean_distance(nodes: np.ndarray, faces: np.ndarray, distance: Function) -> np.ndarray:
