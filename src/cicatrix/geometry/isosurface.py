@@ -119,14 +119,14 @@ def _whole(mask: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
 
 def _opened(mask: np.ndarray, diameter: np.ndarray) -> np.ndarray:
     """Largest piece of what a ball of ``diameter`` (3,) voxels reaches in a mask that may go on beyond the image."""
-    n = np.maximum(np.floor(diameter / 2).astype(int), 1)
+    if not np.asarray(ndi.binary_erosion(mask, np.ones((3, 3, 3)), border_value=1)).any():
+        raise InputError("labels: the breast is thinner than three voxels everywhere; give labels with smaller voxels.")
+    n = np.maximum(np.floor((diameter - 1) / 2), 0).astype(int)
     offsets = np.stack(np.meshgrid(*[np.arange(-k, k + 1) for k in n], indexing="ij"), axis=-1)
-    ball = np.sum((offsets / np.maximum(diameter / 2, 1.0)) ** 2, axis=-1) <= 1.0
+    ball = np.sum((offsets / np.maximum(n, 1)) ** 2, axis=-1) <= 1.0
     core = np.asarray(ndi.binary_erosion(mask, ball, border_value=1))
     if not core.any():
-        raise InputError(
-            "labels: the breast is too thin to be meshed; give labels with smaller voxels, or a smaller mesh.edge_mm."
-        )
+        raise InputError("labels: the breast is thinner than an element; choose a smaller mesh.edge_mm.")
     return _whole(np.asarray(ndi.binary_dilation(core, ball)) & mask)[0]
 
 
@@ -148,12 +148,15 @@ class Isosurface:
     normals : (n, 3) array
         Unit vectors out of the body.
     share : Volume
-        (nz, ny, nx), smoothed share of the body: more than half is inside.
+        (nz, ny, nx), smoothed share of the body.
+    level : float
+        Share at the surface; inside there is more.
     """
 
     points: np.ndarray
     normals: np.ndarray
     share: Volume
+    level: float
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -166,7 +169,7 @@ class Isosurface:
         Within two voxels of the surface it is measured to the tangent plane at the nearest point.
         """
         away, near = self.tree.query(x, distance_upper_bound=reach_mm)
-        sign = np.where(self.share.sample(x) > LEVEL, -1.0, 1.0)
+        sign = np.where(self.share.sample(x) > self.level, -1.0, 1.0)
         out = sign * np.minimum(away, reach_mm)
         close = away < 2 * max(self.share.spacing_mm)
         to_point = x[close] - self.points[near[close]]
@@ -175,7 +178,9 @@ class Isosurface:
 
 
 def isosurface(share: Volume, smooth_mm: np.ndarray | float = 0.0) -> Isosurface:
-    """Surface where the smoothed share of the body is one half.
+    """Surface where the smoothed share of the body is about one half: at the level that keeps the body's volume.
+
+    Without that, a ball of radius r smoothed over s would lose s^2 / r of its radius.
 
     Parameters
     ----------
@@ -186,19 +191,27 @@ def isosurface(share: Volume, smooth_mm: np.ndarray | float = 0.0) -> Isosurface
     """
     voxels = np.broadcast_to(smooth_mm / np.asarray(share.spacing_mm), 3)[::-1]
     u = share.with_values(ndi.gaussian_filter(share.values, voxels, mode="nearest"))
-    points = np.concatenate([_crossings(u, axis) for axis in range(3)])
+    level = _volume_keeping_level(u.values, float(share.values.sum(dtype=float))) if np.any(voxels > 0) else LEVEL
+    points = np.concatenate([_crossings(u, level, axis) for axis in range(3)])
     steps = 0.5 * np.diag(u.spacing_mm)
     slope = np.stack([(u.sample(points + h) - u.sample(points - h)) / h.sum() for h in steps], axis=-1)
     length = np.linalg.norm(slope, axis=1, keepdims=True)
-    return Isosurface(points, -slope / np.maximum(length, 1e-12), u)
+    return Isosurface(points, -slope / np.maximum(length, 1e-12), u, level)
 
 
-def _crossings(u: Volume, axis: int) -> np.ndarray:
+def _volume_keeping_level(u: np.ndarray, n_voxels: float) -> float:
+    """Level that so many voxels exceed, and no farther from a half than smoothing explains."""
+    rank = u.size - round(n_voxels)
+    between = np.partition(u, [max(rank - 1, 0), min(rank, u.size - 1)], axis=None)
+    return float(np.clip(0.5 * (between[max(rank - 1, 0)] + between[min(rank, u.size - 1)]), 0.25, 0.75))
+
+
+def _crossings(u: Volume, level: float, axis: int) -> np.ndarray:
     """Where lines along an array axis cross the level (n, 3) [mm]."""
     low, high = (np.take(u.values, np.arange(k, u.shape[axis] - 1 + k), axis) for k in (0, 1))
-    index = np.nonzero((low > LEVEL) != (high > LEVEL))
+    index = np.nonzero((low > level) != (high > level))
     at = np.stack(index, axis=-1).astype(float)
-    at[:, axis] += (LEVEL - low[index]) / (high[index] - low[index])
+    at[:, axis] += (level - low[index]) / (high[index] - low[index])
     return u.position(at)
 
 

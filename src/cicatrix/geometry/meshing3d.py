@@ -92,7 +92,7 @@ class Attempt:
 
 
 LEAST_SMOOTHING = 0.8
-ATTEMPTS = (Attempt(0.0, 1.0, 2), Attempt(1.3, 0.7, 2), Attempt(0.0, 0.5, 3))
+ATTEMPTS = (Attempt(0.0, 1.0, 2), Attempt(1.0, 0.8, 2), Attempt(1.3, 0.7, 2), Attempt(0.0, 0.5, 3))
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ def bcc_lattice(low: np.ndarray, high: np.ndarray, edge_mm: float) -> tuple[np.n
     """Tetrahedra on the corners and centres of cubes that fill a box.
 
     Each face between two cubes is shared by four tetrahedra around the line between their centres; each face on the box
-    by two. Dihedral angles are 60 and 90 degrees, at the box 45 and 90.
+    by two. Dihedral angles are 60 and 90 degrees, at the box 45 to 120.
 
     Parameters
     ----------
