@@ -186,7 +186,7 @@ def test_thin_parts_are_left_out_and_fine_voxels_averaged():
     [
         ({"edge_mm": 0.0}, "mesh.edge_mm must be above 0 mm; got 0"),
         ({"edge_mm": np.nan}, "mesh.edge_mm must be above 0 mm; got nan"),
-        ({"edge_mm": 0.3}, "mesh.edge_mm must be at least 0.4"),
+        ({"edge_mm": 0.3}, "mesh.edge_mm must be at least 0.5"),
         ({"edge_mm": 25.0}, "mesh.edge_mm must be smaller for this body"),
         ({"cavity": lambda p: np.linalg.norm(p - 90.0, axis=-1) - 5.0}, "cavity lies outside the body"),
         ({"cavity": lambda p: np.linalg.norm(p - CENTRE, axis=-1) - 30.0}, "cavity reaches the surface"),
@@ -213,7 +213,7 @@ def test_labels_that_cannot_be_a_body_are_refused():
 
 def test_gate_refuses_with_its_measures(ball, monkeypatch):
     """Smoothed over 8 mm, the edge of the half-ellipsoid's nose moves by more than a voxel."""
-    monkeypatch.setattr(meshing3d, "ATTEMPTS", (Attempt(9.0, 1.0, 2), Attempt(8.0, 1.0, 2)))
+    monkeypatch.setattr(meshing3d, "ATTEMPTS", (Attempt(9.0, 1.0, 2, 0.0), Attempt(8.0, 1.0, 2, 0.0)))
     with pytest.raises(InputError, match=r"tried 2 times, the last with .*skin .* mm off \(at most one voxel, 1.00\)"):
         mesh_body(half_ellipsoid_labels(), 6.0)
     bad = replace(ball.quality, least_volume=-1.0, least_dihedral_deg=3.0, n_pieces=2, is_manifold=False)
@@ -221,7 +221,7 @@ def test_gate_refuses_with_its_measures(ball, monkeypatch):
 
 
 def test_a_second_attempt_is_noted(monkeypatch):
-    monkeypatch.setattr(meshing3d, "ATTEMPTS", (Attempt(8.0, 1.0, 2), Attempt(0.0, 1.0, 2)))
+    monkeypatch.setattr(meshing3d, "ATTEMPTS", (Attempt(8.0, 1.0, 2, 0.0), Attempt(0.0, 1.0, 2, 0.0)))
     assert "mm off" in mesh_body(half_ellipsoid_labels(), 6.0).notes[-1]
 
 

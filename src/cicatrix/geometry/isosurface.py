@@ -127,7 +127,7 @@ def _opened(mask: np.ndarray, diameter: np.ndarray) -> np.ndarray:
     core = np.asarray(ndi.binary_erosion(mask, ball, border_value=1))
     if not core.any():
         raise InputError("labels: the breast is thinner than an element; choose a smaller mesh.edge_mm.")
-    return _whole(np.asarray(ndi.binary_dilation(core, ball)) & mask)[0]
+    return _whole(np.logical_and(ndi.binary_dilation(core, ball), mask))[0]
 
 
 def _kept(share: Volume, body: np.ndarray) -> Volume:

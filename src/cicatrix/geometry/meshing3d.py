@@ -16,9 +16,8 @@ from .tetrahedra import bcc_lattice, border, used_only
 from .volume import Volume
 
 FINEST = 1 / 6  # voxels smaller than this share of an edge are averaged
-THIN = 2 / 3  # parts thinner than this share of an edge are left out
 FINENESS = 0.3  # how far an edge may leave the surface, in voxels
-LARGEST_N_CUBES = 500_000  # of the lattice: about six million elements
+LARGEST_N_CUBES = 300_000  # in the box around the body: one to three million elements
 
 
 class Region(IntEnum):
@@ -83,16 +82,19 @@ class Attempt:
     lattice_share : float
         Edge of the lattice that is cut, as a share of the elements' edge.
     n_rounds : int
-        How often it is remeshed.
+        How often it is remeshed, 2 or more; the cavity is cut before the last.
+    thin_share : float
+        Parts thinner than this share of an edge are left out.
     """
 
     smooth_mm: float
     lattice_share: float
     n_rounds: int
+    thin_share: float
 
 
-LEAST_SMOOTHING = 0.8
-ATTEMPTS = (Attempt(0.0, 1.0, 2), Attempt(1.0, 0.8, 2), Attempt(1.3, 0.7, 2), Attempt(0.0, 0.5, 3))
+LEAST_SMOOTHING = 0.8  # voxels
+ATTEMPTS = (Attempt(0.0, 1.0, 2, 2 / 3), Attempt(1.3, 0.7, 2, 1.0), Attempt(0.0, 0.5, 3, 2 / 3))
 
 
 @dataclass(frozen=True)
@@ -141,9 +143,10 @@ def mesh_body(
         within it, or a mesh that fails the gate in every attempt.
     """
     edges = _checked(edge_mm, cavity_edge_mm, cavity)
-    body = segmented_body(labels, tissue, finest_mm=FINEST * edge_mm, thin_mm=THIN * edge_mm)
     is_wall, failed = wall_side(labels), []
     for attempt in ATTEMPTS:
+        thin = attempt.thin_share * edge_mm
+        body = segmented_body(labels, tissue, finest_mm=FINEST * edge_mm, thin_mm=thin)
         try:
             mesh = _attempt(body, is_wall, edges, attempt, (*body.notes, *failed))
         except RuntimeError as error:  # MMG's own word
@@ -174,13 +177,11 @@ def _attempt(
     hausdorff = FINENESS * max(share.spacing_mm)
     body = _cut_lattice(surface, edges.far, attempt.lattice_share * edges.far)
     body = remesh(body, edges.at(body.nodes), hausdorff)
-    for _ in range(attempt.n_rounds - 2):
+    for left in reversed(range(attempt.n_rounds - 1)):
         body = _fitted_skin(body, surface)
+        if edges.cavity is not None and left == 0:
+            body = split(body, _level_in(body, edges.cavity))
         body = remesh(body, np.minimum(edges.at(body.nodes), _edge_for(body, surface, hausdorff)), hausdorff)
-    body = _fitted_skin(body, surface)
-    if edges.cavity is not None:
-        body = split(body, _level_in(body, edges.cavity))
-    body = remesh(body, np.minimum(edges.at(body.nodes), _edge_for(body, surface, hausdorff)), hausdorff)
     for by_face in (False, True):
         body = _fitted_skin(body, surface, by_face)
         if edges.cavity is not None:
@@ -191,11 +192,11 @@ def _attempt(
 def _cut_lattice(surface: Isosurface, edge: float, lattice_edge: float) -> Solid:
     """Cut the lattice at the surface: what is inside, with flat faces where the image ends."""
     box, reach = _box(surface, lattice_edge), 2 * max(lattice_edge, *surface.share.spacing_mm)
-    n_cubes = np.prod((box[1] - box[0]) / lattice_edge)
+    n_cubes = float(np.prod((box[1] - box[0]) / edge))
     if n_cubes > LARGEST_N_CUBES:
         least = edge * np.cbrt(n_cubes / LARGEST_N_CUBES)
         raise InputError(f"mesh.edge_mm must be at least {least:.2g} mm for a body of this size; got {edge:g}.")
-    nodes, tetrahedra = bcc_lattice(*box, lattice_edge)
+    nodes, tetrahedra = bcc_lattice(box[0], box[1], lattice_edge)
     level = surface.distance(nodes, reach)
     if level.min() > -lattice_edge:
         raise InputError(

@@ -31,7 +31,7 @@ def bcc_lattice(low: np.ndarray, high: np.ndarray, edge_mm: float) -> tuple[np.n
     cell = (high - low) / n
     corner = np.arange(np.prod(n + 1), dtype=np.int32).reshape(n + 1)
     centre = np.arange(np.prod(n), dtype=np.int32).reshape(n) + np.int32(corner.size)
-    steps = [np.indices(n + 1).reshape(3, -1).T, np.indices(n).reshape(3, -1).T + 0.5]
+    steps = [np.indices(corner.shape).reshape(3, -1).T, np.indices(centre.shape).reshape(3, -1).T + 0.5]
     points = np.concatenate(steps) * cell + low
     tetrahedra = np.concatenate([_across(corner, centre, axis) for axis in range(3)])
     return points, oriented(points, tetrahedra)
