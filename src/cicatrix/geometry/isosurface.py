@@ -132,7 +132,7 @@ def _opened(mask: np.ndarray, diameter: np.ndarray) -> np.ndarray:
 
 def _kept(share: Volume, body: np.ndarray) -> Volume:
     """Share within a body of whole voxels (nz, ny, nx) and in the partly filled ones next to it; 0 elsewhere."""
-    near = np.asarray(ndi.binary_dilation(body)) & (share.values <= LEVEL)
+    near = np.logical_and(ndi.binary_dilation(body), share.values <= LEVEL)
     inner = np.where(share.values > LEVEL, share.values, 1.0)  # a hole counts whole
     return share.with_values(np.where(body, inner, np.where(near, share.values, 0.0)).astype(np.float32))
 
@@ -149,14 +149,11 @@ class Isosurface:
         Unit vectors out of the body.
     share : Volume
         (nz, ny, nx), smoothed share of the body.
-    level : float
-        Share at the surface; inside there is more.
     """
 
     points: np.ndarray
     normals: np.ndarray
     share: Volume
-    level: float
 
     @cached_property
     def tree(self) -> cKDTree:
@@ -169,7 +166,7 @@ class Isosurface:
         Within two voxels of the surface it is measured to the tangent plane at the nearest point.
         """
         away, near = self.tree.query(x, distance_upper_bound=reach_mm)
-        sign = np.where(self.share.sample(x) > self.level, -1.0, 1.0)
+        sign = np.where(self.share.sample(x) > LEVEL, -1.0, 1.0)
         out = sign * np.minimum(away, reach_mm)
         close = away < 2 * max(self.share.spacing_mm)
         to_point = x[close] - self.points[near[close]]
@@ -178,9 +175,9 @@ class Isosurface:
 
 
 def isosurface(share: Volume, smooth_mm: np.ndarray | float = 0.0) -> Isosurface:
-    """Surface where the smoothed share of the body is about one half: at the level that keeps the body's volume.
+    """Surface where the smoothed share of the body is one half.
 
-    Without that, a ball of radius r smoothed over s would lose s^2 / r of its radius.
+    A ball of radius r smoothed over s loses s^2 / r of its radius.
 
     Parameters
     ----------
@@ -191,27 +188,19 @@ def isosurface(share: Volume, smooth_mm: np.ndarray | float = 0.0) -> Isosurface
     """
     voxels = np.broadcast_to(smooth_mm / np.asarray(share.spacing_mm), 3)[::-1]
     u = share.with_values(ndi.gaussian_filter(share.values, voxels, mode="nearest"))
-    level = _volume_keeping_level(u.values, float(share.values.sum(dtype=float))) if np.any(voxels > 0) else LEVEL
-    points = np.concatenate([_crossings(u, level, axis) for axis in range(3)])
+    points = np.concatenate([_crossings(u, axis) for axis in range(3)])
     steps = 0.5 * np.diag(u.spacing_mm)
     slope = np.stack([(u.sample(points + h) - u.sample(points - h)) / h.sum() for h in steps], axis=-1)
     length = np.linalg.norm(slope, axis=1, keepdims=True)
-    return Isosurface(points, -slope / np.maximum(length, 1e-12), u, level)
+    return Isosurface(points, -slope / np.maximum(length, 1e-12), u)
 
 
-def _volume_keeping_level(u: np.ndarray, n_voxels: float) -> float:
-    """Level that so many voxels exceed, and no farther from a half than smoothing explains."""
-    rank = u.size - round(n_voxels)
-    between = np.partition(u, [max(rank - 1, 0), min(rank, u.size - 1)], axis=None)
-    return float(np.clip(0.5 * (between[max(rank - 1, 0)] + between[min(rank, u.size - 1)]), 0.25, 0.75))
-
-
-def _crossings(u: Volume, level: float, axis: int) -> np.ndarray:
+def _crossings(u: Volume, axis: int) -> np.ndarray:
     """Where lines along an array axis cross the level (n, 3) [mm]."""
     low, high = (np.take(u.values, np.arange(k, u.shape[axis] - 1 + k), axis) for k in (0, 1))
-    index = np.nonzero((low > level) != (high > level))
+    index = np.nonzero((low > LEVEL) != (high > LEVEL))
     at = np.stack(index, axis=-1).astype(float)
-    at[:, axis] += (level - low[index]) / (high[index] - low[index])
+    at[:, axis] += (LEVEL - low[index]) / (high[index] - low[index])
     return u.position(at)
 
 

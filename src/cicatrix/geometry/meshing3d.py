@@ -17,6 +17,7 @@ from .volume import Volume
 
 FINEST = 1 / 6  # voxels smaller than this share of an edge are averaged
 FINENESS = 0.3  # how far an edge may leave the surface, in voxels
+LEAST_CUT = 0.1  # share of an edge that a cut leaves; the nodes are put onto the surface afterwards
 LARGEST_N_CUBES = 300_000  # in the box around the body: one to three million elements
 
 
@@ -202,6 +203,8 @@ def _cut_lattice(surface: Isosurface, edge: float, lattice_edge: float) -> Solid
         raise InputError(
             f"mesh.edge_mm must be smaller for this body, which is only about {-2 * level.min():.0f} mm thick; got {edge:g}."
         )
+    least = LEAST_CUT * lattice_edge
+    level = np.copysign(np.maximum(np.abs(level), least), level)
     touching = tetrahedra[(level[tetrahedra] < 0).any(axis=1)]
     level = level[np.unique(touching)]
     nodes, tetrahedra = used_only(nodes, touching)
