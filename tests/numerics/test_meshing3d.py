@@ -187,7 +187,7 @@ def test_thin_parts_are_left_out_and_fine_voxels_averaged():
     [
         ({"edge_mm": 0.0}, "mesh.edge_mm must be above 0 mm; got 0"),
         ({"edge_mm": np.nan}, "mesh.edge_mm must be above 0 mm; got nan"),
-        ({"edge_mm": 0.3}, "mesh.edge_mm must be at least 0.5"),
+        ({"edge_mm": 0.3}, "mesh.edge_mm must be at least 0.49"),
         ({"edge_mm": 25.0}, "mesh.edge_mm must be smaller for this body"),
         ({"cavity": lambda p: np.linalg.norm(p - 90.0, axis=-1) - 5.0}, "cavity lies outside the body"),
         ({"cavity": lambda p: np.linalg.norm(p - CENTRE, axis=-1) - 30.0}, "cavity reaches the surface"),
