@@ -102,11 +102,15 @@ class Stage {
     // What each piece finds among these tiles, one after the other: find(id, list).
     template <class T, class Find>
     void collect(const std::vector<int32_t>& ids, std::vector<T>& all, Find&& find) {
+        all.clear();
+        if (pool.threads() == 1) {
+            for (int32_t id : ids) find(id, all);
+            return;
+        }
         std::vector<std::vector<T>> parts(most_pieces());
         pieces(ids, [&](int i, Ids some) {
             for (size_t k = 0; k < some.count; ++k) find(some.first[k], parts[i]);
         });
-        all.clear();
         for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
     }
 
