@@ -180,7 +180,7 @@ class Band {
     int64_t bytes() const {
         int64_t n = static_cast<int64_t>(8 * (word.capacity() + first_site.capacity()) + is_active.capacity() +
                                          is_frame.capacity() + is_core_or_rim.capacity());
-        for (const auto* v : {&active, &core, &rim, &outer, &first_run_}) n += static_cast<int64_t>(4 * v->capacity());
+        for (const auto* v : {&active, &core, &rim, &outer, &plane_ends, &first_run_}) n += static_cast<int64_t>(4 * v->capacity());
         for (const auto& v : rows_beside_) n += static_cast<int64_t>(4 * v.capacity());
         return n;
     }
@@ -195,6 +195,7 @@ class Band {
     std::vector<int32_t> rim;    // not of the core, but beside it
     std::vector<int32_t> outer;  // active, with a tile beside it that is not, the frame apart
     std::vector<int64_t> first_site;  // number of lane 0
+    std::vector<int32_t> plane_ends;  // of each plane of the first axis, the tile after its last one
 
    private:
     struct Run {
@@ -216,11 +217,12 @@ class Band {
     }
 
     void enumerate(int64_t first, int64_t last, Pool& pool) {
-        runs_.clear();
+        runs_.clear(), plane_ends.clear();
         int64_t n = 0;
         for (int64_t r = first; r < last; ++r) {
             first_run_[r] = static_cast<int32_t>(runs_.size());
             n = find_runs(r, n);
+            if ((r + 1) % rows_.inner == 0) plane_ends.push_back(static_cast<int32_t>(n));
             if (n >= kMostTiles) throw std::length_error("the front is too large: more than 2^26 tiles of 32 sites");
         }
         first_run_[last] = static_cast<int32_t>(runs_.size());

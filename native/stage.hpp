@@ -170,16 +170,16 @@ class Stage {
     // Cut a list of tiles between planes of the first axis, into slabs of at least `size` tiles and `planes` planes.
     std::vector<size_t> slabs(const std::vector<int32_t>& ids, size_t size, int64_t planes) const {
         std::vector<size_t> cuts{0};
-        for (size_t i = 1; i < ids.size(); ++i) {
-            const size_t first = cuts.back();
-            const bool is_new_plane = plane(ids[i]) > plane(ids[i - 1]);
-            if (is_new_plane && i - first >= size && plane(ids[i]) - plane(ids[first]) >= planes) cuts.push_back(i);
+        size_t i = 0;
+        int64_t first_plane = 0;  // of the slab
+        for (int64_t plane = 0; i < ids.size(); ++plane) {
+            if (i == 0) first_plane = plane;
+            if (i - cuts.back() >= size && plane - first_plane >= planes) cuts.push_back(i), first_plane = plane;
+            while (i < ids.size() && ids[i] < band.plane_ends[plane]) ++i;
         }
         cuts.push_back(ids.size());
         return cuts;
     }
-
-    int64_t plane(int32_t id) const { return band.word[id] / rows.tiles / rows.inner; }
 
     uint32_t free_word(int64_t word) const { return fillable[word] & ~occupied[word]; }
 
