@@ -27,6 +27,7 @@ class Core final : public AutomatonCore {
             n_fillable_ += popcount(s_.fillable[i]);
             n_cells_ += popcount(s_.occupied[i]);
         }
+        s_.find_plain();
         find_front();
     }
 
@@ -100,15 +101,19 @@ class Core final : public AutomatonCore {
                 uint32_t all = ~0u;
                 for (int k = 0; k < G::rows; ++k)
                     for (int right = -1; right <= 1; ++right) all &= s_.free_word(word + s_.rows.stride(k) * s_.rows.tiles + right);
-                if (~all) front_.push_back({word, 0, kPlaces - 1});
+                if (~all) front_.push_back({word, (1 << G::height) - 1, 0, kPlaces - 1});
             }
         }
     }
 
     static void note_front(int64_t word, uint32_t edge, std::vector<Front>& front) {
         if (!edge) return;
-        const uint32_t places = (edge | edge >> 8 | edge >> 16 | edge >> 24) & 0xFF;
-        front.push_back({word, __builtin_ctz(places), 31 - __builtin_clz(places)});
+        uint8_t first = 0, places = 0;
+        for (int line = 0; line < kLines; ++line) {
+            const uint8_t here = edge >> kPlaces * line & 0xFF;
+            places |= here, first |= (here != 0) << line / G::depth;
+        }
+        front.push_back({word, first, static_cast<uint8_t>(__builtin_ctz(places)), static_cast<uint8_t>(31 - __builtin_clz(places))});
     }
 
     // ---------------------------------------------------------------- one step

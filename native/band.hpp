@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <cstdlib>
 #include <stdexcept>
 #include <vector>
 
@@ -53,10 +54,11 @@ struct Rows {
     int64_t stride(int k) const { return G::row[k][0] * inner + G::row[k][1]; }
 };
 
-// A tile with free sites that have a neighbour which is not free: from place low to place high of its lines.
+// A tile with free sites that have a neighbour which is not free: at which of its sites along the first axis (a bit for each), and
+// from place low to place high along the last.
 struct Front {
     int64_t word;
-    int32_t low, high;
+    uint8_t first, low, high;
 };
 
 // One bit per tile of a lattice.
@@ -75,8 +77,9 @@ class TileSet {
     bool has(int64_t r, int64_t b) const { return row(r)[b >> 6] >> (b & 63) & 1; }
 
     void add(int64_t r, int64_t first, int64_t last) {
-        uint64_t* here = bits_.data() + r * words_;
-        for (int64_t b = first; b <= last; ++b) here[b >> 6] |= uint64_t{1} << (b & 63);
+        uint64_t *here = at(r) + (first >> 6), from = ~uint64_t{0} << (first & 63);
+        for (int64_t more = (last >> 6) - (first >> 6); more > 0; --more, from = ~uint64_t{0}) *here++ |= from;
+        *here |= from & ~uint64_t{0} >> (63 - (last & 63));
     }
 
     // Everything within some rows along the first and the second axis, in the range first .. last - 1 of the first.
@@ -205,14 +208,40 @@ class Band {
 
     static int64_t in_rows(int64_t reach, int size) { return (reach + size - 1) / size; }
 
-    void mark(TileSet<D>& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
-        for (const Front& f : front) {
-            const int64_t row = f.word / rows_.tiles, tile = f.word % rows_.tiles;
-            const int64_t left = (f.low - reach - (kPlaces - 1)) / kPlaces, right = (f.high + reach) / kPlaces;
-            set.add(row, std::max<int64_t>(1, tile + left),
-                    std::min(rows_.tiles - 2, tile + right));
+    // Some rows further along the first axis, and how many sites to the left and to the right hops lead there.
+    struct Stretch {
+        int64_t rows, left, right;
+    };
+
+    // What lies within `reach` hops of sites at these places of a tile along the first axis, whatever the second: whoever goes
+    // forth along one axis goes no further forth along another, and alike for back.
+    static std::vector<Stretch> stretches(int places, int64_t reach) {
+        std::vector<Stretch> found;
+        for (int64_t rows = -in_rows(reach, G::height); rows <= in_rows(reach, G::height); ++rows) {
+            int64_t left = -1, right = -1;
+            for (int from = 0; from < G::height; ++from)
+                for (int to = 0; to < G::height; ++to) {
+                    const int64_t up = rows * G::height + to - from;
+                    if (!(places >> from & 1) || std::abs(up) > reach) continue;
+                    left = std::max(left, reach + std::min<int64_t>(up, 0)), right = std::max(right, reach - std::max<int64_t>(up, 0));
+                }
+            if (left >= 0) found.push_back({rows, left, right});
         }
-        set.widen(in_rows(reach, G::height), in_rows(reach, G::depth), from, to);
+        return found;
+    }
+
+    void mark(TileSet<D>& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
+        std::vector<Stretch> by_places[1 << G::height];
+        for (int places = 1; places < 1 << G::height; ++places) by_places[places] = stretches(places, reach);
+        for (const Front& f : front) {
+            const int64_t row = f.word / rows_.tiles, tile = f.word - row * rows_.tiles, plane = row / rows_.inner;
+            for (const Stretch& s : by_places[f.first]) {
+                if (plane + s.rows < 1 || plane + s.rows > rows_.outer - 2) continue;
+                const int64_t left = (f.low - s.left - (kPlaces - 1)) / kPlaces, right = (f.high + s.right) / kPlaces;
+                set.add(row + s.rows * rows_.inner, std::max<int64_t>(1, tile + left), std::min(rows_.tiles - 2, tile + right));
+            }
+        }
+        set.widen(0, in_rows(reach, G::depth), from, to);
         set.drop_frame(from, to);
     }
 

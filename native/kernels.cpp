@@ -604,6 +604,27 @@ void dilate(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
     }
 }
 
+// Which lanes of a tile the tile beside it sees, by row offset and right.
+template <int D>
+struct Seen {
+    uint32_t by[Geometry<D>::rows][3] = {};
+
+    constexpr Seen() {
+        using G = Geometry<D>;
+        for (int lane = 0; lane < kLanes; ++lane)
+            for (const Direction& d : G::neighbour) {
+                const int i = lane / kPlaces / G::depth + d.first, j = lane / kPlaces % G::depth + d.second;
+                const int right = tile_of(lane % kPlaces + d.last, kPlaces);
+                for (int k = 0; k < G::rows; ++k)
+                    if (G::row[k][0] == tile_of(i, G::height) && G::row[k][1] == tile_of(j, G::depth))
+                        by[k][right + 1] |= 1u << lane;
+            }
+        by[0][1] = 0;
+    }
+
+    static constexpr int tile_of(int x, int size) { return x < 0 ? -1 : x >= size; }
+};
+
 template <int D>
 bool relax_tile(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
     uint16_t* at = d + kLanes * size_t(id);
@@ -622,11 +643,11 @@ bool relax_tile(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, ui
     dirty[id] = 0;
     if (!any(here ^ first)) return false;
     store(at, here);
-    for (int k = 0; k < Geometry<D>::rows; ++k) {
-        const int32_t other = k ? beside[k][id] : id;
-        dirty[other - 1] = dirty[other + 1] = 1;
-        if (k) dirty[other] = 1;
-    }
+    static constexpr Seen<D> seen;
+    const uint32_t changed = ~bits_of(here == first);
+    for (int k = 0; k < Geometry<D>::rows; ++k)
+        for (int right = -1; right <= 1; ++right)
+            if (changed & seen.by[k][right + 1]) dirty[(k ? beside[k][id] : id) + right] = 1;
     return true;
 }
 

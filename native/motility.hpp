@@ -39,13 +39,13 @@ class Motility {
             s_.kernels.expand(ids, s_.cells(), G::bulk, u[0]);
             s_.kernels.expand(ids, s_.cells(), G::bulk, u[1]);
         });
-        find_plain();
+        find_weights();
         auto sub_step = [&](int64_t i, Ids ids) {
             const uint16_t* own = own_.data() + kLanes;
             if (i == 0)
-                s_.by.start(ids, s_.band.beside(), plain_.data(), own, s_.fill(), s_.cells(), u[1]);
+                s_.by.start(ids, s_.band.beside(), s_.plain(), own, s_.fill(), s_.cells(), u[1]);
             else
-                s_.by.diffuse(ids, s_.band.beside(), plain_.data(), own, s_.fill(), u[i & 1], u[(i + 1) & 1]);
+                s_.by.diffuse(ids, s_.band.beside(), s_.plain(), own, s_.fill(), u[i & 1], u[(i + 1) & 1]);
         };
         if (s_.pool.threads() == 1)
             in_waves(sub_step);
@@ -73,24 +73,11 @@ class Motility {
     }
 
     // Tiles around which every site can be filled need no weights of their own.
-    void find_plain() {
-        plain_.resize(s_.band.size());
-        std::vector<uint8_t> all(s_.most_pieces(), 1);
-        s_.pieces(s_.band.core, [&](int i, Ids ids) {
-            for (size_t n = 0; n < ids.count; ++n) {
-                uint32_t full = ~0u;
-                for (int k = 0; k < G::rows; ++k) {
-                    const uint32_t* here = s_.fill() + s_.band.beside(k, ids.first[n]);
-                    full &= here[-1] & here[0] & here[1];
-                }
-                plain_[ids.first[n]] = full == ~0u;
-                all[i] &= full == ~0u;
-            }
-        });
-        if (std::all_of(all.begin(), all.end(), [](uint8_t a) { return a != 0; })) return;
+    void find_weights() {
+        if (s_.all_plain) return;
         own_.resize(kLanes * (s_.band.size() + 2));
         s_.pieces(s_.band.core, [&](int, Ids ids) {
-            s_.by.weigh(ids, s_.band.beside(), plain_.data(), s_.fill(), own_.data() + kLanes);
+            s_.by.weigh(ids, s_.band.beside(), s_.plain(), s_.fill(), own_.data() + kLanes);
         });
     }
 
@@ -99,7 +86,7 @@ class Motility {
         int64_t above, reached;  // sites above it, sites at it or above
     };
 
-    // The level U0 that `count` fillable sites of the core reach: by bisection.
+    // The level U0 that `count` fillable sites of the core reach: by bisection, first near the level of the last step.
     Level level_of(const uint16_t* u, int64_t count) {
         mixed_.resize(s_.band.core.size());
         int64_t n_bulk = 0;
@@ -112,14 +99,17 @@ class Motility {
         };
         uint32_t low = 0, high = G::bulk + 1;  // from(low) >= count > from(high)
         int64_t above = 0, reached = kLanes * static_cast<int64_t>(s_.band.core.size());
-        while (high - low > 1) {
-            const uint32_t middle = (low + high) / 2;
+        auto ask = [&](uint32_t middle) {
+            if (middle <= low || middle >= high) return;
             const int64_t n = from(middle);
             if (n >= count)
                 low = middle, reached = n;
             else
                 high = middle, above = n;
-        }
+        };
+        for (uint32_t far = 8; far < G::bulk && low + far < high; far *= 8) ask(last_level_ + far), ask(last_level_ - std::min(far, last_level_));
+        while (high - low > 1) ask((low + high) / 2);
+        last_level_ = low;
         return {static_cast<uint16_t>(low), above, reached};
     }
 
@@ -141,9 +131,9 @@ class Motility {
 
     Stage<D>& s_;
     Values density_[2], own_;
-    std::vector<uint8_t> plain_;
     std::vector<int32_t> mixed_;
     std::vector<uint32_t> above_, equal_;
+    uint32_t last_level_ = G::bulk / 2;
 };
 
 }  // namespace cicatrix

@@ -24,25 +24,45 @@ class Stage {
           int64_t tiles_per_piece, const Kernels& the_kernels)
         : rows(shape), rules(the_rules), key{static_cast<uint32_t>(rules.seed), static_cast<uint32_t>(rules.seed >> 32)},
           kernels(the_kernels), by(kernels.dimension[D - 2]), pool(threads, tiles_per_piece), fillable(rows.count() * rows.tiles),
-          occupied(fillable.size()), band(rows), step(first_step) {}
+          occupied(fillable.size()), band(rows), step(first_step), is_plain_(fillable.size()) {}
+
+    // Which tiles of the lattice are plain: every site can be filled, there and in the tiles around.
+    void find_plain() {
+        for (int64_t row = 0; row < rows.count(); ++row) {
+            if (rows.on_frame(row)) continue;
+            for (int64_t word = row * rows.tiles + 1; word < (row + 1) * rows.tiles - 1; ++word) {
+                uint32_t full = ~0u;
+                for (int k = 0; k < G::rows; ++k) {
+                    const uint32_t* here = fillable.data() + word + rows.stride(k) * rows.tiles;
+                    full &= here[-1] & here[0] & here[1];
+                }
+                is_plain_[word] = full == ~0u;
+            }
+        }
+    }
 
     // Sites of the band, in tiles: cells, sites that can be filled, free sites.
     void load() {
         const size_t n = band.size();
-        cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2);
-        ranges(n, [&](int, size_t first, size_t last) {
+        cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2), plain_.resize(n);
+        std::vector<uint8_t> all(most_pieces(), 1);
+        ranges(n, [&](int i, size_t first, size_t last) {
             for (size_t id = first; id < last; ++id) {
                 const int64_t word = band.word[id];
-                cells()[id] = occupied[word], fill()[id] = fillable[word];
+                cells()[id] = occupied[word], plain_[id] = is_plain_[word];
+                fill()[id] = plain_[id] ? ~0u : fillable[word];
                 free()[id] = fill()[id] & ~cells()[id];
+                all[i] &= is_plain_[word];
             }
         });
+        all_plain = std::all_of(all.begin(), all.end(), [](uint8_t a) { return a != 0; });
     }
 
     uint32_t* scratch() { return scratch_.data() + 1; }
     uint32_t* cells() { return cells_.data() + 1; }
     uint32_t* fill() { return fill_.data() + 1; }
     uint32_t* free() { return free_.data() + 1; }
+    const uint8_t* plain() const { return plain_.data(); }
 
     int64_t n_occupied() { return count_bits(band.active, cells()); }
 
@@ -140,8 +160,11 @@ class Stage {
     // Sites within some hops of a free one, whatever lies between.
     void find_zone(int64_t hops) {
         zone[0] = free_, zone[1] = free_;
+        collect(band.active, not_free_, [&](int32_t id, std::vector<int32_t>& found) {
+            if (free()[id] != ~0u) found.push_back(id);
+        });
         for (int64_t i = 0; i < hops; ++i) {
-            pieces(band.active, [&](int, Ids ids) {
+            pieces(not_free_, [&](int, Ids ids) {
                 by.dilate(ids, band.beside(), zone[0].data() + 1, zone[1].data() + 1);
             });
             std::swap(zone[0], zone[1]);
@@ -184,7 +207,7 @@ class Stage {
     uint32_t free_word(int64_t word) const { return fillable[word] & ~occupied[word]; }
 
     int64_t bytes() const {
-        int64_t n = band.bytes();
+        int64_t n = band.bytes() + static_cast<int64_t>(is_plain_.capacity() + plain_.capacity());
         for (const auto* v : {&fillable, &occupied, &cells_, &fill_, &free_, &zone[0], &zone[1], &scratch_})
             n += static_cast<int64_t>(4 * v->capacity());
         return n;
@@ -200,6 +223,7 @@ class Stage {
     Band<D> band;
     int64_t step;
     bool is_whole = false, too_flat = false;
+    bool all_plain = false;  // all tiles of the band
     Words words;
     Work work;
 
@@ -237,6 +261,8 @@ class Stage {
     }
 
     std::vector<uint32_t> cells_, fill_, free_, scratch_;
+    std::vector<int32_t> not_free_;          // tiles that have a site which is not
+    std::vector<uint8_t> is_plain_, plain_;  // of the lattice, of the band
     const Moves moves = all_moves();
     const int64_t lines[kLines] = {rows.line(0), rows.line(1), rows.line(2), rows.line(3)};
 };
