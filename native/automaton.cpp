@@ -113,7 +113,8 @@ class Core final : public AutomatonCore {
             const uint8_t here = edge >> kPlaces * line & 0xFF;
             places |= here, first |= (here != 0) << line / G::depth;
         }
-        front.push_back({word, first, static_cast<uint8_t>(__builtin_ctz(places)), static_cast<uint8_t>(31 - __builtin_clz(places))});
+        const int low = __builtin_ctz(places), high = 31 - __builtin_clz(places);
+        front.push_back({word, first, static_cast<uint8_t>(low), static_cast<uint8_t>(high)});
     }
 
     // ---------------------------------------------------------------- one step

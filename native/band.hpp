@@ -54,8 +54,8 @@ struct Rows {
     int64_t stride(int k) const { return G::row[k][0] * inner + G::row[k][1]; }
 };
 
-// A tile with free sites that have a neighbour which is not free: at which of its sites along the first axis (a bit for each), and
-// from place low to place high along the last.
+// A tile with free sites that have a neighbour which is not free: at which of its sites along the first axis (a bit for each),
+// and from place low to place high along the last.
 struct Front {
     int64_t word;
     uint8_t first, low, high;
@@ -183,7 +183,8 @@ class Band {
     int64_t bytes() const {
         int64_t n = static_cast<int64_t>(8 * (word.capacity() + first_site.capacity()) + is_active.capacity() +
                                          is_frame.capacity() + is_core_or_rim.capacity());
-        for (const auto* v : {&active, &core, &rim, &outer, &plane_ends, &first_run_}) n += static_cast<int64_t>(4 * v->capacity());
+        for (const auto* v : {&active, &core, &rim, &outer, &plane_ends, &first_run_})
+            n += static_cast<int64_t>(4 * v->capacity());
         for (const auto& v : rows_beside_) n += static_cast<int64_t>(4 * v.capacity());
         return n;
     }
@@ -223,7 +224,8 @@ class Band {
                 for (int to = 0; to < G::height; ++to) {
                     const int64_t up = rows * G::height + to - from;
                     if (!(places >> from & 1) || std::abs(up) > reach) continue;
-                    left = std::max(left, reach + std::min<int64_t>(up, 0)), right = std::max(right, reach - std::max<int64_t>(up, 0));
+                    left = std::max(left, reach + std::min<int64_t>(up, 0));
+                    right = std::max(right, reach - std::max<int64_t>(up, 0));
                 }
             if (left >= 0) found.push_back({rows, left, right});
         }

@@ -231,7 +231,8 @@ inline auto join_neighbours(At&& at, Join&& join) {
         const T higher = up_second(here, beyond), lower = down_second(here, inside);
         up = join(up, lower), up_other = join(up_other, down_second(above, at(5, 0)));
         down = join(down, higher), down_other = join(down_other, up_second(below, at(6, 0)));
-        all = join(join(all, join(higher, lower)), join(up_second(back, before(beyond, at(3, -1))), down_second(forth, after(inside, at(4, 1)))));
+        all = join(join(all, join(higher, lower)), up_second(back, before(beyond, at(3, -1))));
+        all = join(all, down_second(forth, after(inside, at(4, 1))));
     }
     return join(all, join(up_first<D>(up, up_other), down_first<D>(down, down_other)));
 }
@@ -604,39 +605,18 @@ void dilate(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
     }
 }
 
-// Which lanes of a tile the tile beside it sees, by row offset and right.
-template <int D>
-struct Seen {
-    uint32_t by[Geometry<D>::rows][3] = {};
-
-    constexpr Seen() {
-        using G = Geometry<D>;
-        for (int lane = 0; lane < kLanes; ++lane)
-            for (const Direction& d : G::neighbour) {
-                const int i = lane / kPlaces / G::depth + d.first, j = lane / kPlaces % G::depth + d.second;
-                const int right = tile_of(lane % kPlaces + d.last, kPlaces);
-                for (int k = 0; k < G::rows; ++k)
-                    if (G::row[k][0] == tile_of(i, G::height) && G::row[k][1] == tile_of(j, G::depth))
-                        by[k][right + 1] |= 1u << lane;
-            }
-        by[0][1] = 0;
-    }
-
-    static constexpr int tile_of(int x, int size) { return x < 0 ? -1 : x >= size; }
-};
-
 template <int D>
 bool relax_tile(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
     uint16_t* at = d + kLanes * size_t(id);
-    const U16 own = load(cost + kLanes * size_t(id)), first = load(at);
+    const U16 own = load(cost + kLanes * size_t(id)), most = ~own, first = load(at);  // more than `most` is no path
     U16 around[Geometry<D>::rows][3];  // the tiles beside this one, loaded once
     for (int k = 0; k < Geometry<D>::rows; ++k)
         for (int right = -1; right <= 1; ++right)
             around[k][right + 1] = load(d + kLanes * size_t((k ? beside[k][id] : id) + right));
     U16& here = around[0][1];
     while (true) {  // within the tile until it stands
-        const U16 sum = own + join_neighbours<D>([&](int row, int right) { return around[row][right + 1]; }, least);
-        const U16 next = least(here, sum | (own > sum));  // saturating
+        const U16 best = join_neighbours<D>([&](int row, int right) { return around[row][right + 1]; }, least);
+        const U16 next = least(here, least(best, most) + own);
         if (!any(next ^ here)) break;
         here = next;
     }

@@ -107,7 +107,8 @@ class Motility {
             else
                 high = middle, above = n;
         };
-        for (uint32_t far = 8; far < G::bulk && low + far < high; far *= 8) ask(last_level_ + far), ask(last_level_ - std::min(far, last_level_));
+        for (uint32_t far = 8; far < G::bulk && low + far < high; far *= 8)
+            ask(last_level_ + far), ask(last_level_ - std::min(far, last_level_));
         while (high - low > 1) ask((low + high) / 2);
         last_level_ = low;
         return {static_cast<uint16_t>(low), above, reached};

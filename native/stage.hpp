@@ -175,9 +175,10 @@ class Stage {
 
     // All neighbours of these sites of a tile lie in active tiles, or beyond the lattice.
     void require_inside(int32_t id, uint32_t sites) const {
-        for (; sites; sites &= sites - 1)
-            for (const Move& move : moves[__builtin_ctz(sites)])
-                if (leads_out(band.beside(move.row, id) + move.right)) throw TooNarrow();
+        static constexpr Seen<D> seen;
+        for (int k = 0; sites && k < G::rows; ++k)
+            for (int right = -1; right <= 1; ++right)
+                if (sites & seen.by[k][right + 1] && leads_out(band.beside(k, id) + right)) throw TooNarrow();
     }
 
     bool leads_out(int32_t id) const { return !band.is_active[id] && !band.is_frame[id]; }
