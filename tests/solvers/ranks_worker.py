@@ -34,7 +34,10 @@ def large_case(i):
     return Automaton(lattice, fillable, open0 & fillable, rules, i), Cue(0.5, 1.0)
 
 
-CASES = [*(lambda i=i: random_case(i) for i in (*range(24), FAR, BESIDE)), *(lambda i=i: large_case(i) for i in range(4))]
+CASES = [
+    *(lambda i=i: random_case(i) for i in (*range(24), FAR, BESIDE)),
+    *(lambda i=i: large_case(i) for i in range(4)),
+]
 
 
 def core_of(automaton, ranks=None):
