@@ -38,19 +38,19 @@ class Core final : public AutomatonCore {
         if (n_open() > 0) {
             int64_t reach = first_reach();
             int parts = parts_of_front();
-            for (bool whole = false;; whole = reach > longest() || s_.too_flat) {
+            for (bool whole = false;;) {
                 s_.too_flat = false;
                 try {
                     counts = step_within(reach, whole, parts);
                     break;
                 } catch (const TooNarrow&) {
-                    if (whole) throw InvariantFault("the whole lattice was called too narrow for a step of the automaton");
-                    if (parts == 1)
-                        reach = 2 * reach;
-                    else if (far_sight_ < kFarthest)
-                        far_sight_ = 2 * far_sight_;
+                    if (whole && parts == 1) throw InvariantFault("the whole lattice was called too narrow for a step of the automaton");
+                    if (s_.too_flat)
+                        whole = true, parts = 1;
+                    else if (parts > 1)
+                        parts = see_further() ? parts : 1;
                     else
-                        parts = 1;
+                        reach = 2 * reach, whole = reach > longest();
                 }
             }
         }
@@ -159,12 +159,19 @@ class Core final : public AutomatonCore {
         return static_cast<int>(std::clamp<size_t>(n, 1, s_.team->size()));
     }
 
+    // Whether it is worth it: where that does not help, paths are not what was too long.
+    bool see_further() {
+        far_sight_ = far_sight_ < kFarthest ? 2 * far_sight_ : 1;
+        return far_sight_ > 1;
+    }
+
     // The front is cut along the Morton curve, anew in every step.
     void build_band(int64_t reach, bool whole, int parts) {
         Share share;
         if (parts > 1) {
             s_.sight = far_sight_ * usual_sight();
-            share.core_halo = s_.rules.substeps + kAround, share.halo = s_.sight + s_.rules.layer_sites + kAround;
+            share.core_halo = s_.rules.substeps + kAround;
+            share.halo = std::max(share.core_halo, s_.sight + s_.rules.layer_sites + kAround);
             std::vector<uint64_t> places;
             for (const Front& f : front_) places.push_back(s_.rows.place(f.word));
             share.stretch = s_.team->rank() < parts ? stretch_of(places, s_.team->rank(), parts) : Stretch::none();
@@ -229,16 +236,16 @@ class Core final : public AutomatonCore {
 
     void find_layer(int64_t hops) {
         s_.find_zone(hops);
-        layer_.bits_.assign(s_.band.size() + 2, 0);
+        layer_.padded.assign(s_.band.size() + 2, 0);
         s_.collect(s_.band.active, layer_.tiles, [&](int32_t id, std::vector<int32_t>& found) {
             if (const uint32_t bits = s_.zone[0][id + 1] & s_.cells()[id]) {
                 found.push_back(id);
                 layer_.bits()[id] = bits;
             }
         });
-        layer_.is_shared = s_.is_shared, layer_.own_.clear();
+        layer_.is_shared = s_.is_shared, layer_.own.clear();
         if (s_.is_shared)
-            std::copy_if(layer_.tiles.begin(), layer_.tiles.end(), std::back_inserter(layer_.own_), [&](int32_t id) { return s_.band.is_own(id); });
+            std::copy_if(layer_.tiles.begin(), layer_.tiles.end(), std::back_inserter(layer_.own), [&](int32_t id) { return s_.band.is_own(id); });
     }
 
     // Own cells of the layer that divide.

@@ -11,12 +11,12 @@ namespace cicatrix {
 
 // Cells of the layer, tile by tile.
 struct Layer {
-    std::vector<int32_t> tiles, own_;
-    std::vector<uint32_t> bits_;  // by id, one more entry at either end
+    std::vector<int32_t> tiles, own;
+    std::vector<uint32_t> padded;  // bits by id, one more entry at either end
     bool is_shared = false;
 
-    uint32_t* bits() { return bits_.data() + 1; }
-    const std::vector<int32_t>& own_tiles() const { return is_shared ? own_ : tiles; }
+    uint32_t* bits() { return padded.data() + 1; }
+    const std::vector<int32_t>& own_tiles() const { return is_shared ? own : tiles; }
 };
 
 template <int D>

@@ -227,18 +227,18 @@ class Stage {
 
     // Fill the `wanted` sites in words, of all ranks, with the least (word, number).
     void settle_first(Phase phase, int64_t wanted) {
-        struct Draw {
+        struct Lot {
             uint64_t word, number;
-            bool operator<(const Draw& other) const { return std::tie(word, number) < std::tie(other.word, other.number); }
+            bool operator<(const Lot& other) const { return std::tie(word, number) < std::tie(other.word, other.number); }
         };
         if (!is_shared && wanted >= static_cast<int64_t>(words.size())) {
             for (size_t i = 0; i < words.size(); ++i) settle_at(words.site(i));
             return;
         }
         words.draw(kernels, step, phase, key);
-        auto draw = [&](size_t i) { return Draw{words.word(i), number(words.site(i))}; };
-        std::vector<Draw> order = together([&] {
-            std::vector<Draw> mine(words.size());
+        auto draw = [&](size_t i) { return Lot{words.word(i), number(words.site(i))}; };
+        std::vector<Lot> order = together([&] {
+            std::vector<Lot> mine(words.size());
             for (size_t i = 0; i < mine.size(); ++i) mine[i] = draw(i);
             return mine;
         });

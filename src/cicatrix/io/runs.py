@@ -68,9 +68,10 @@ def simulate(
             progress=progress,
         )
 
-    folder = ranks.agree(lambda: opened() if ranks.is_first else None)
-    results: Any = ranks.agree(lambda: _lead(case, folder, progress, ranks) if folder else _follow(case, ranks))
-    return ranks.share(results)
+    with ranks.uninterrupted():
+        folder = ranks.agree(lambda: opened() if ranks.is_first else None)
+        results: Any = ranks.agree(lambda: _lead(case, folder, progress, ranks) if folder else _follow(case, ranks))
+        return ranks.share(results)
 
 
 def _lead(case: Case, folder: RunFolder, progress: Progress, ranks: Ranks) -> Results:
