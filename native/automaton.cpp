@@ -28,6 +28,7 @@ class Core final : public AutomatonCore {
             n_fillable_ += popcount(s_.fillable[i]);
             n_cells_ += popcount(s_.occupied[i]);
         }
+        s_.find_plain();
         find_front();
     }
 
@@ -37,19 +38,19 @@ class Core final : public AutomatonCore {
         if (n_open() > 0) {
             int64_t reach = first_reach();
             int parts = parts_of_front();
-            for (bool whole = false;; whole = reach > longest() || s_.too_flat) {
+            for (bool whole = false;;) {
                 s_.too_flat = false;
                 try {
                     counts = step_within(reach, whole, parts);
                     break;
                 } catch (const TooNarrow&) {
-                    if (whole) throw InvariantFault("the whole lattice was called too narrow for a step of the automaton");
-                    if (parts == 1)
-                        reach = 2 * reach;
-                    else if (far_sight_ < kFarthest)
-                        far_sight_ = 2 * far_sight_;
+                    if (whole && parts == 1) throw InvariantFault("the whole lattice was called too narrow for a step of the automaton");
+                    if (s_.too_flat)
+                        whole = true, parts = 1;
+                    else if (parts > 1)
+                        parts = see_further() ? parts : 1;
                     else
-                        parts = 1;
+                        reach = 2 * reach, whole = reach > longest();
                 }
             }
         }
@@ -107,15 +108,20 @@ class Core final : public AutomatonCore {
                 uint32_t all = ~0u;
                 for (int k = 0; k < G::rows; ++k)
                     for (int right = -1; right <= 1; ++right) all &= s_.free_word(word + s_.rows.stride(k) * s_.rows.tiles + right);
-                if (~all) front_.push_back({word, 0, kPlaces - 1});
+                if (~all) front_.push_back({word, (1 << G::height) - 1, 0, kPlaces - 1});
             }
         }
     }
 
     static void note_front(int64_t word, uint32_t edge, std::vector<Front>& front) {
         if (!edge) return;
-        const uint32_t places = (edge | edge >> 8 | edge >> 16 | edge >> 24) & 0xFF;
-        front.push_back({word, __builtin_ctz(places), 31 - __builtin_clz(places)});
+        uint8_t first = 0, places = 0;
+        for (int line = 0; line < kLines; ++line) {
+            const uint8_t here = edge >> kPlaces * line & 0xFF;
+            places |= here, first |= (here != 0) << line / G::depth;
+        }
+        const int low = __builtin_ctz(places), high = 31 - __builtin_clz(places);
+        front.push_back({word, first, static_cast<uint8_t>(low), static_cast<uint8_t>(high)});
     }
 
     // ---------------------------------------------------------------- one step
@@ -153,12 +159,19 @@ class Core final : public AutomatonCore {
         return static_cast<int>(std::clamp<size_t>(n, 1, s_.team->size()));
     }
 
+    // Whether it is worth it: where that does not help, paths are not what was too long.
+    bool see_further() {
+        far_sight_ = far_sight_ < kFarthest ? 2 * far_sight_ : 1;
+        return far_sight_ > 1;
+    }
+
     // The front is cut along the Morton curve, anew in every step.
     void build_band(int64_t reach, bool whole, int parts) {
         Share share;
         if (parts > 1) {
             s_.sight = far_sight_ * usual_sight();
-            share.core_halo = s_.rules.substeps + kAround, share.halo = s_.sight + s_.rules.layer_sites + kAround;
+            share.core_halo = s_.rules.substeps + kAround;
+            share.halo = std::max(share.core_halo, s_.sight + s_.rules.layer_sites + kAround);
             std::vector<uint64_t> places;
             for (const Front& f : front_) places.push_back(s_.rows.place(f.word));
             share.stretch = s_.team->rank() < parts ? stretch_of(places, s_.team->rank(), parts) : Stretch::none();
@@ -189,41 +202,50 @@ class Core final : public AutomatonCore {
 
     void edge_targets(Ids ids, uint64_t limit, std::vector<Site>& targets) {
         s_.by.touching(ids, s_.band.beside(), s_.cells(), s_.free(), s_.scratch());
-        std::vector<uint64_t> numbers;
-        std::vector<std::pair<Site, uint32_t>> sites;  // and its free neighbours, one bit for each direction
+        Site sites[kDraws];
+        uint64_t numbers[kDraws];
+        uint32_t words[4 * kDraws];
+        size_t n = 0;
+        auto draw = [&] {
+            s_.kernels.philox(numbers, n, static_cast<uint32_t>(s_.step), kEdgeDivision, s_.key, words);
+            for (size_t i = 0; i < n; ++i)
+                if (words[4 * i] < limit) choose_target(sites[i], words[4 * i + 1], targets);
+            n = 0;
+        };
         for (size_t i = 0; i < ids.count; ++i)
             for (uint32_t left = s_.scratch()[ids.first[i]]; left; left &= left - 1) {
-                const Site site = static_cast<Site>(ids.first[i]) * kLanes + __builtin_ctz(left);
-                uint32_t directions = 0, bit = 1;
-                for (Site other : s_.around(site)) directions |= s_.has(s_.free(), other) ? bit : 0, bit <<= 1;
-                if (popcount(directions) < s_.rules.min_free) continue;
-                sites.emplace_back(site, directions);
-                numbers.push_back(s_.number(site));
+                sites[n] = static_cast<Site>(ids.first[i]) * kLanes + __builtin_ctz(left);
+                numbers[n] = s_.number(sites[n]);
+                if (++n == kDraws) draw();
             }
-        std::vector<uint32_t> words(4 * numbers.size());
-        s_.kernels.philox(numbers.data(), numbers.size(), static_cast<uint32_t>(s_.step), kEdgeDivision, s_.key, words.data());
-        for (size_t i = 0; i < sites.size(); ++i) {
-            if (words[4 * i] >= limit) continue;
-            uint32_t directions = sites[i].second;
-            for (uint32_t skip = below(words[4 * i + 1], popcount(directions)); skip; --skip) directions &= directions - 1;
-            targets.push_back(s_.around(sites[i].first).site[__builtin_ctz(directions)]);
-        }
+        draw();
+    }
+
+    // The free neighbour that a random word means, if there are enough of them.
+    void choose_target(Site site, uint32_t word, std::vector<Site>& targets) {
+        const auto around = s_.around(site);
+        uint32_t directions = 0, bit = 1;  // one bit for each
+        for (Site other : around) directions |= s_.has(s_.free(), other) ? bit : 0, bit <<= 1;
+        const int n_free = popcount(directions);
+        if (n_free < s_.rules.min_free) return;
+        for (uint32_t skip = below(word, n_free); skip; --skip) directions &= directions - 1;
+        targets.push_back(around.site[__builtin_ctz(directions)]);
     }
 
     // ---------------------------------------------------------------- layer division
 
     void find_layer(int64_t hops) {
         s_.find_zone(hops);
-        layer_.bits_.assign(s_.band.size() + 2, 0);
+        layer_.padded.assign(s_.band.size() + 2, 0);
         s_.collect(s_.band.active, layer_.tiles, [&](int32_t id, std::vector<int32_t>& found) {
             if (const uint32_t bits = s_.zone[0][id + 1] & s_.cells()[id]) {
                 found.push_back(id);
                 layer_.bits()[id] = bits;
             }
         });
-        layer_.is_shared = s_.is_shared, layer_.own_.clear();
+        layer_.is_shared = s_.is_shared, layer_.own.clear();
         if (s_.is_shared)
-            std::copy_if(layer_.tiles.begin(), layer_.tiles.end(), std::back_inserter(layer_.own_), [&](int32_t id) { return s_.band.is_own(id); });
+            std::copy_if(layer_.tiles.begin(), layer_.tiles.end(), std::back_inserter(layer_.own), [&](int32_t id) { return s_.band.is_own(id); });
     }
 
     // Own cells of the layer that divide.
@@ -303,6 +325,8 @@ class Core final : public AutomatonCore {
     int64_t misplaced() {
         return std::count_if(s_.band.own().begin(), s_.band.own().end(), [&](int32_t id) { return (s_.cells()[id] & ~s_.fill()[id]) != 0; });
     }
+
+    static constexpr size_t kDraws = 256;  // calls of the generator at once
 
     Stage<D> s_;
     Layer layer_;

@@ -4,6 +4,7 @@
 #include <algorithm>
 #include <array>
 #include <cstdint>
+#include <cstdlib>
 #include <iterator>
 #include <stdexcept>
 #include <vector>
@@ -60,10 +61,11 @@ struct Rows {
     int64_t stride(int k) const { return G::row[k][0] * inner + G::row[k][1]; }
 };
 
-// A tile with free sites that have a neighbour which is not free: from place low to place high of its lines.
+// A tile with free sites that have a neighbour which is not free: at which of its sites along the first axis (a bit for each),
+// and from place low to place high along the last.
 struct Front {
     int64_t word;
-    int32_t low, high;
+    uint8_t first, low, high;
 };
 
 // One bit per tile of a lattice.
@@ -84,8 +86,9 @@ class TileSet {
     bool has(int64_t r, int64_t b) const { return row(r)[b >> 6] >> (b & 63) & 1; }
 
     void add(int64_t r, int64_t first, int64_t last) {
-        uint64_t* here = bits_.data() + r * words_;
-        for (int64_t b = first; b <= last; ++b) here[b >> 6] |= uint64_t{1} << (b & 63);
+        uint64_t *here = at(r) + (first >> 6), from = ~uint64_t{0} << (first & 63);
+        for (int64_t more = (last >> 6) - (first >> 6); more > 0; --more, from = ~uint64_t{0}) *here++ |= from;
+        *here |= from & ~uint64_t{0} >> (63 - (last & 63));
     }
 
     // Everything within some rows along the first and the second axis, in the range first .. last - 1 of the first.
@@ -243,7 +246,8 @@ class Band {
     int64_t bytes() const {
         int64_t n = static_cast<int64_t>(8 * (word.capacity() + first_site.capacity()) + is_active.capacity() +
                                          is_frame.capacity() + is_core_or_rim.capacity());
-        for (const auto* v : {&active, &core, &rim, &outer, &first_run_, &own_active_, &own_core_}) n += static_cast<int64_t>(4 * v->capacity());
+        for (const auto* v : {&active, &core, &rim, &outer, &plane_ends, &first_run_, &own_active_, &own_core_})
+            n += static_cast<int64_t>(4 * v->capacity());
         for (const auto& v : rows_beside_) n += static_cast<int64_t>(4 * v.capacity());
         return n;
     }
@@ -258,6 +262,7 @@ class Band {
     std::vector<int32_t> rim;    // not of the core, but beside it
     std::vector<int32_t> outer;  // own, with a tile beside it that no rank has active, the frame apart
     std::vector<int64_t> first_site;  // number of lane 0
+    std::vector<int32_t> plane_ends;  // of each plane of the first axis, the tile after its last one
 
    private:
     struct Run {
@@ -273,24 +278,52 @@ class Band {
         std::swap(about, set);
     }
 
-    void mark(Tiles& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
-        for (const Front& f : front) {
-            const int64_t row = f.word / rows_.tiles, tile = f.word % rows_.tiles;
-            const int64_t left = (f.low - reach - (kPlaces - 1)) / kPlaces, right = (f.high + reach) / kPlaces;
-            set.add(row, std::max<int64_t>(1, tile + left),
-                    std::min(rows_.tiles - 2, tile + right));
+    // Some rows further along the first axis, and how many sites to the left and to the right hops lead there.
+    struct Along {
+        int64_t rows, left, right;
+    };
+
+    // What lies within `reach` hops of sites at these places of a tile along the first axis, whatever the second: whoever goes
+    // forth along one axis goes no further forth along another, and alike for back.
+    static std::vector<Along> stretches(int places, int64_t reach) {
+        std::vector<Along> found;
+        for (int64_t rows = -Tiles::in_rows(reach, G::height); rows <= Tiles::in_rows(reach, G::height); ++rows) {
+            int64_t left = -1, right = -1;
+            for (int from = 0; from < G::height; ++from)
+                for (int to = 0; to < G::height; ++to) {
+                    const int64_t up = rows * G::height + to - from;
+                    if (!(places >> from & 1) || std::abs(up) > reach) continue;
+                    left = std::max(left, reach + std::min<int64_t>(up, 0));
+                    right = std::max(right, reach - std::max<int64_t>(up, 0));
+                }
+            if (left >= 0) found.push_back({rows, left, right});
         }
-        set.widen(Tiles::in_rows(reach, G::height), Tiles::in_rows(reach, G::depth), from, to);
+        return found;
+    }
+
+    void mark(Tiles& set, const std::vector<Front>& front, int64_t reach, int64_t from, int64_t to) {
+        std::vector<Along> by_places[1 << G::height];
+        for (int places = 1; places < 1 << G::height; ++places) by_places[places] = stretches(places, reach);
+        for (const Front& f : front) {
+            const int64_t row = f.word / rows_.tiles, tile = f.word - row * rows_.tiles, plane = row / rows_.inner;
+            for (const Along& s : by_places[f.first]) {
+                if (plane + s.rows < 1 || plane + s.rows > rows_.outer - 2) continue;
+                const int64_t left = (f.low - s.left - (kPlaces - 1)) / kPlaces, right = (f.high + s.right) / kPlaces;
+                set.add(row + s.rows * rows_.inner, std::max<int64_t>(1, tile + left), std::min(rows_.tiles - 2, tile + right));
+            }
+        }
+        set.widen(0, Tiles::in_rows(reach, G::depth), from, to);
         set.drop_frame(from, to);
     }
 
     void enumerate(int64_t first, int64_t last, Pool& pool) {
         first_row_ = first, last_row_ = last;
-        runs_.clear();
+        runs_.clear(), plane_ends.clear();
         int64_t n = 0;
         for (int64_t r = first; r < last; ++r) {
             first_run_[r] = static_cast<int32_t>(runs_.size());
             n = find_runs(r, n);
+            if ((r + 1) % rows_.inner == 0) plane_ends.push_back(static_cast<int32_t>(n));
             if (n >= kMostTiles) throw std::length_error("the front is too large: more than 2^26 tiles of 32 sites");
         }
         first_run_[last] = static_cast<int32_t>(runs_.size());

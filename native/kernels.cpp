@@ -216,10 +216,36 @@ inline void each_neighbour(int32_t id, Beside beside, const uint32_t* bits, Use&
     each_neighbour<D>([=](int row, int right) { return bits[(row ? beside[row][id] : id) + right]; }, use);
 }
 
-template <int D, class Use>
-inline void each_neighbour(int32_t id, Beside beside, const uint16_t* values, Use&& use) {
-    each_neighbour<D>(
-        [=](int row, int right) { return load(values + kLanes * size_t((row ? beside[row][id] : id) + right)); }, use);
+// What all neighbours together give under an operation whose order does not matter. What lies on the same side is joined before
+// it is moved.
+template <int D, class At, class Join>
+inline auto join_neighbours(At&& at, Join&& join) {
+    const auto here = at(0, 0), left = at(0, -1), right = at(0, 1), above = at(1, 0), below = at(2, 0);
+    using T = std::decay_t<decltype(here)>;
+    const T back = before(here, left), forth = after(here, right);
+    T up = join(here, back), up_other = join(above, before(above, at(1, -1)));
+    T down = join(here, forth), down_other = join(below, after(below, at(2, 1)));
+    T all = join(forth, back);
+    if constexpr (D == 3) {
+        const auto beyond = at(3, 0), inside = at(4, 0);
+        const T higher = up_second(here, beyond), lower = down_second(here, inside);
+        up = join(up, lower), up_other = join(up_other, down_second(above, at(5, 0)));
+        down = join(down, higher), down_other = join(down_other, up_second(below, at(6, 0)));
+        all = join(join(all, join(higher, lower)), up_second(back, before(beyond, at(3, -1))));
+        all = join(all, down_second(forth, after(inside, at(4, 1))));
+    }
+    return join(all, join(up_first<D>(up, up_other), down_first<D>(down, down_other)));
+}
+
+template <int D, class Join>
+inline U16 join_neighbours(int32_t id, Beside beside, const uint16_t* values, Join&& join) {
+    return join_neighbours<D>(
+        [=](int row, int right) { return load(values + kLanes * size_t((row ? beside[row][id] : id) + right)); }, join);
+}
+
+template <int D, class Join>
+inline uint32_t join_neighbours(int32_t id, Beside beside, const uint32_t* bits, Join&& join) {
+    return join_neighbours<D>([=](int row, int right) { return bits[(row ? beside[row][id] : id) + right]; }, join);
 }
 
 // One 32-bit mask from a comparison of 32 lanes.
@@ -467,13 +493,6 @@ inline uint32_t popcount(uint32_t x) {
 #endif
 }
 
-int64_t count_from(Ids ids, const uint16_t* u, uint16_t level) {
-    const U16 limit = fill(static_cast<uint16_t>(level - 1));  // level >= 1
-    int64_t sum = 0;
-    for (size_t i = 0; i < ids.count; ++i) sum += popcount(bits_of(load(u + kLanes * size_t(ids.first[i])) > limit));
-    return sum;
-}
-
 size_t mixed(Ids ids, const uint16_t* u, uint16_t bulk, int32_t* out, int64_t* n_bulk) {
     size_t n = 0;
     for (size_t i = 0; i < ids.count; ++i) {
@@ -500,8 +519,8 @@ void diffuse(Ids ids, Beside beside, const uint8_t* plain, const uint16_t* own, 
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         const U16 here = load(u + kLanes * size_t(id));
-        U16 total = fill(0), next;
-        each_neighbour<D>(id, beside, u, [&](U16 seen) { total = total + seen; });
+        const U16 total = join_neighbours<D>(id, beside, u, [](U16 a, U16 b) { return a + b; });
+        U16 next;
         if (plain[id])
             next = shifted_right<G::shift>(total + here * fill(G::own) + half);
         else
@@ -538,13 +557,14 @@ void weigh(Ids ids, Beside beside, const uint8_t* plain, const uint32_t* fillabl
     }
 }
 
+inline uint32_t either(uint32_t a, uint32_t b) { return a | b; }
+inline uint32_t both(uint32_t a, uint32_t b) { return a & b; }
+
 template <int D>
 void touching(Ids ids, Beside beside, const uint32_t* mask, const uint32_t* bits, uint32_t* out) {
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        uint32_t near = 0;
-        if (mask[id]) each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { near |= seen; });
-        out[id] = near & mask[id];
+        out[id] = mask[id] ? mask[id] & join_neighbours<D>(id, beside, bits, either) : 0;
     }
 }
 
@@ -552,9 +572,7 @@ template <int D>
 void border(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        uint32_t inner = bits[id];
-        if (inner) each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { inner &= seen; });
-        out[id] = bits[id] & ~inner;
+        out[id] = bits[id] ? bits[id] & ~join_neighbours<D>(id, beside, bits, both) : 0;
     }
 }
 
@@ -576,38 +594,33 @@ template <int D>
 void dilate(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        uint32_t wide = bits[id];
-        if (wide != ~0u) each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { wide |= seen; });
-        out[id] = wide;
+        out[id] = bits[id] == ~0u ? ~0u : bits[id] | join_neighbours<D>(id, beside, bits, either);
     }
 }
 
 template <int D>
 bool relax_tile(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
     uint16_t* at = d + kLanes * size_t(id);
-    const U16 own = load(cost + kLanes * size_t(id)), first = load(at);
+    const U16 own = load(cost + kLanes * size_t(id)), most = ~own, first = load(at);  // more than `most` is no path
     U16 around[Geometry<D>::rows][3];  // the tiles beside this one, loaded once
     for (int k = 0; k < Geometry<D>::rows; ++k)
         for (int right = -1; right <= 1; ++right)
             around[k][right + 1] = load(d + kLanes * size_t((k ? beside[k][id] : id) + right));
     U16& here = around[0][1];
     while (true) {  // within the tile until it stands
-        U16 best = fill(kFar);
-        each_neighbour<D>([&](int row, int right) { return around[row][right + 1]; },
-                          [&](U16 seen) { best = least(best, seen); });
-        const U16 sum = best + own;
-        const U16 next = least(here, sum | (own > sum));  // saturating
+        const U16 best = join_neighbours<D>([&](int row, int right) { return around[row][right + 1]; }, least);
+        const U16 next = least(here, least(best, most) + own);
         if (!any(next ^ here)) break;
         here = next;
     }
     dirty[id] = 0;
     if (!any(here ^ first)) return false;
     store(at, here);
-    for (int k = 0; k < Geometry<D>::rows; ++k) {
-        const int32_t other = k ? beside[k][id] : id;
-        dirty[other - 1] = dirty[other + 1] = 1;
-        if (k) dirty[other] = 1;
-    }
+    static constexpr Seen<D> seen;
+    const uint32_t changed = ~bits_of(here == first);
+    for (int k = 0; k < Geometry<D>::rows; ++k)
+        for (int right = -1; right <= 1; ++right)
+            if (changed & seen.by[k][right + 1]) dirty[(k ? beside[k][id] : id) + right] = 1;
     return true;
 }
 
@@ -638,7 +651,7 @@ constexpr Kernels::ByDimension by_dimension() {
 #define CICATRIX_QUOTED(x) CICATRIX_STRING(x)
 
 const Kernels& CICATRIX_NAME(CICATRIX_ISA)() {
-    static constexpr Kernels table = {CICATRIX_QUOTED(CICATRIX_ISA), philox, draw, random_values, count_bits, expand, compare, count_from, mixed,
+    static constexpr Kernels table = {CICATRIX_QUOTED(CICATRIX_ISA), philox, draw, random_values, count_bits, expand, compare, mixed,
                                       {by_dimension<2>(), by_dimension<3>()}};
     return table;
 }

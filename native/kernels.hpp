@@ -51,6 +51,27 @@ struct Geometry<3> {
 
 constexpr int kLines = 4, kPlaces = 8;  // of a tile
 
+// Which lanes of a tile the tile beside it sees, by row offset and right.
+template <int D>
+struct Seen {
+    uint32_t by[Geometry<D>::rows][3] = {};
+
+    constexpr Seen() {
+        using G = Geometry<D>;
+        for (int lane = 0; lane < kLanes; ++lane)
+            for (const Direction& d : G::neighbour) {
+                const int i = lane / kPlaces / G::depth + d.first, j = lane / kPlaces % G::depth + d.second;
+                const int right = tile_of(lane % kPlaces + d.last, kPlaces);
+                for (int k = 0; k < G::rows; ++k)
+                    if (G::row[k][0] == tile_of(i, G::height) && G::row[k][1] == tile_of(j, G::depth))
+                        by[k][right + 1] |= 1u << lane;
+            }
+        by[0][1] = 0;
+    }
+
+    static constexpr int tile_of(int x, int size) { return x < 0 ? -1 : x >= size; }
+};
+
 struct Ids {
     const int32_t* first;
     size_t count;
@@ -81,8 +102,6 @@ struct Kernels {
     void (*expand)(Ids ids, const uint32_t* bits, uint16_t bulk, uint16_t* u);
     // Sites with U > level and with U == level, as bits.
     void (*compare)(Ids ids, const uint16_t* u, uint16_t level, uint32_t* above, uint32_t* equal);
-    // How many lanes have U >= level.
-    int64_t (*count_from)(Ids ids, const uint16_t* u, uint16_t level);
     // Blocks whose lanes are not all equal; returns how many, and counts those that are all bulk.
     size_t (*mixed)(Ids ids, const uint16_t* u, uint16_t bulk, int32_t* out, int64_t* n_bulk);
 

@@ -38,13 +38,13 @@ class Motility {
             s_.kernels.expand(ids, s_.cells(), G::bulk, u[0]);
             s_.kernels.expand(ids, s_.cells(), G::bulk, u[1]);
         });
-        find_plain();
+        find_weights();
         auto sub_step = [&](int64_t i, Ids ids) {
             const uint16_t* own = own_.data() + kLanes;
             if (i == 0)
-                s_.by.start(ids, s_.band.beside(), plain_.data(), own, s_.fill(), s_.cells(), u[1]);
+                s_.by.start(ids, s_.band.beside(), s_.plain(), own, s_.fill(), s_.cells(), u[1]);
             else
-                s_.by.diffuse(ids, s_.band.beside(), plain_.data(), own, s_.fill(), u[i & 1], u[(i + 1) & 1]);
+                s_.by.diffuse(ids, s_.band.beside(), s_.plain(), own, s_.fill(), u[i & 1], u[(i + 1) & 1]);
         };
         if (s_.pool.threads() == 1)
             in_waves(sub_step);
@@ -72,24 +72,11 @@ class Motility {
     }
 
     // Tiles around which every site can be filled need no weights of their own.
-    void find_plain() {
-        plain_.resize(s_.band.size());
-        std::vector<uint8_t> all(s_.most_pieces(), 1);
-        s_.pieces(s_.band.core, [&](int i, Ids ids) {
-            for (size_t n = 0; n < ids.count; ++n) {
-                uint32_t full = ~0u;
-                for (int k = 0; k < G::rows; ++k) {
-                    const uint32_t* here = s_.fill() + s_.band.beside(k, ids.first[n]);
-                    full &= here[-1] & here[0] & here[1];
-                }
-                plain_[ids.first[n]] = full == ~0u;
-                all[i] &= full == ~0u;
-            }
-        });
-        if (std::all_of(all.begin(), all.end(), [](uint8_t a) { return a != 0; })) return;
+    void find_weights() {
+        if (s_.all_plain) return;
         own_.resize(kLanes * (s_.band.size() + 2));
         s_.pieces(s_.band.core, [&](int, Ids ids) {
-            s_.by.weigh(ids, s_.band.beside(), plain_.data(), s_.fill(), own_.data() + kLanes);
+            s_.by.weigh(ids, s_.band.beside(), s_.plain(), s_.fill(), own_.data() + kLanes);
         });
     }
 
@@ -164,7 +151,6 @@ class Motility {
 
     Stage<D>& s_;
     Values density_[2], own_;
-    std::vector<uint8_t> plain_;
     std::vector<int32_t> mixed_;
     std::vector<uint32_t> above_, equal_;
 };

@@ -11,12 +11,12 @@ namespace cicatrix {
 
 // Cells of the layer, tile by tile.
 struct Layer {
-    std::vector<int32_t> tiles, own_;
-    std::vector<uint32_t> bits_;  // by id, one more entry at either end
+    std::vector<int32_t> tiles, own;
+    std::vector<uint32_t> padded;  // bits by id, one more entry at either end
     bool is_shared = false;
 
-    uint32_t* bits() { return bits_.data() + 1; }
-    const std::vector<int32_t>& own_tiles() const { return is_shared ? own_ : tiles; }
+    uint32_t* bits() { return padded.data() + 1; }
+    const std::vector<int32_t>& own_tiles() const { return is_shared ? own : tiles; }
 };
 
 template <int D>
@@ -110,7 +110,8 @@ class Routing {
     // worked on at once: none reads or marks what another writes. The solution is unique, whatever the order.
     void relax_layer() {
         dirty_.assign(s_.band.size() + 2, 0);
-        for (int32_t id : layer_.tiles) dirty_[id + 1] = 1;
+        for (int32_t id : shore_)  // paths begin beside it
+            for (int k = 0; k < G::rows; ++k) std::fill_n(dirty_.begin() + s_.band.beside(k, id), 3, 1);
         const size_t size = layer_.tiles.size() / s_.pool.pieces(layer_.tiles.size());
         const std::vector<size_t> cuts = s_.slabs(layer_.tiles, std::max<size_t>(size, 1), 2);
         const int n = static_cast<int>(cuts.size()) - 1;

@@ -27,25 +27,45 @@ class Stage {
           int64_t tiles_per_piece, const Kernels& the_kernels)
         : rows(shape), rules(the_rules), key{static_cast<uint32_t>(rules.seed), static_cast<uint32_t>(rules.seed >> 32)},
           kernels(the_kernels), by(kernels.dimension[D - 2]), pool(threads, tiles_per_piece), fillable(rows.count() * rows.tiles),
-          occupied(fillable.size()), band(rows), step(first_step) {}
+          occupied(fillable.size()), band(rows), step(first_step), is_plain_(fillable.size()) {}
+
+    // Which tiles of the lattice are plain: every site can be filled, there and in the tiles around.
+    void find_plain() {
+        for (int64_t row = 0; row < rows.count(); ++row) {
+            if (rows.on_frame(row)) continue;
+            for (int64_t word = row * rows.tiles + 1; word < (row + 1) * rows.tiles - 1; ++word) {
+                uint32_t full = ~0u;
+                for (int k = 0; k < G::rows; ++k) {
+                    const uint32_t* here = fillable.data() + word + rows.stride(k) * rows.tiles;
+                    full &= here[-1] & here[0] & here[1];
+                }
+                is_plain_[word] = full == ~0u;
+            }
+        }
+    }
 
     // Sites of the band, in tiles: cells, sites that can be filled, free sites.
     void load() {
         const size_t n = band.size();
-        cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2);
-        ranges(n, [&](int, size_t first, size_t last) {
+        cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2), plain_.resize(n);
+        std::vector<uint8_t> all(most_pieces(), 1);
+        ranges(n, [&](int i, size_t first, size_t last) {
             for (size_t id = first; id < last; ++id) {
                 const int64_t word = band.word[id];
-                cells()[id] = occupied[word], fill()[id] = fillable[word];
+                cells()[id] = occupied[word], plain_[id] = is_plain_[word];
+                fill()[id] = plain_[id] ? ~0u : fillable[word];
                 free()[id] = fill()[id] & ~cells()[id];
+                all[i] &= is_plain_[word];
             }
         });
+        all_plain = std::all_of(all.begin(), all.end(), [](uint8_t a) { return a != 0; });
     }
 
     uint32_t* scratch() { return scratch_.data() + 1; }
     uint32_t* cells() { return cells_.data() + 1; }
     uint32_t* fill() { return fill_.data() + 1; }
     uint32_t* free() { return free_.data() + 1; }
+    const uint8_t* plain() const { return plain_.data(); }
 
     // ---- what several ranks do together; who works alone hears only itself
 
@@ -185,11 +205,15 @@ class Stage {
     // What each piece finds among these tiles, one after the other: find(id, list).
     template <class T, class Find>
     void collect(const std::vector<int32_t>& ids, std::vector<T>& all, Find&& find) {
+        all.clear();
+        if (pool.threads() == 1) {
+            for (int32_t id : ids) find(id, all);
+            return;
+        }
         std::vector<std::vector<T>> parts(most_pieces());
         pieces(ids, [&](int i, Ids some) {
             for (size_t k = 0; k < some.count; ++k) find(some.first[k], parts[i]);
         });
-        all.clear();
         for (const auto& part : parts) all.insert(all.end(), part.begin(), part.end());
     }
 
@@ -203,18 +227,18 @@ class Stage {
 
     // Fill the `wanted` sites in words, of all ranks, with the least (word, number).
     void settle_first(Phase phase, int64_t wanted) {
-        struct Draw {
+        struct Lot {
             uint64_t word, number;
-            bool operator<(const Draw& other) const { return std::tie(word, number) < std::tie(other.word, other.number); }
+            bool operator<(const Lot& other) const { return std::tie(word, number) < std::tie(other.word, other.number); }
         };
         if (!is_shared && wanted >= static_cast<int64_t>(words.size())) {
             for (size_t i = 0; i < words.size(); ++i) settle_at(words.site(i));
             return;
         }
         words.draw(kernels, step, phase, key);
-        auto draw = [&](size_t i) { return Draw{words.word(i), number(words.site(i))}; };
-        std::vector<Draw> order = together([&] {
-            std::vector<Draw> mine(words.size());
+        auto draw = [&](size_t i) { return Lot{words.word(i), number(words.site(i))}; };
+        std::vector<Lot> order = together([&] {
+            std::vector<Lot> mine(words.size());
             for (size_t i = 0; i < mine.size(); ++i) mine[i] = draw(i);
             return mine;
         });
@@ -227,8 +251,11 @@ class Stage {
     // Sites within some hops of a free one, whatever lies between.
     void find_zone(int64_t hops) {
         zone[0] = free_, zone[1] = free_;
+        collect(band.active, not_free_, [&](int32_t id, std::vector<int32_t>& found) {
+            if (free()[id] != ~0u) found.push_back(id);
+        });
         for (int64_t i = 0; i < hops; ++i) {
-            pieces(band.active, [&](int, Ids ids) {
+            pieces(not_free_, [&](int, Ids ids) {
                 by.dilate(ids, band.beside(), zone[0].data() + 1, zone[1].data() + 1);
             });
             std::swap(zone[0], zone[1]);
@@ -239,9 +266,10 @@ class Stage {
 
     // All neighbours of these sites of a tile lie in active tiles, or beyond the lattice.
     void require_inside(int32_t id, uint32_t sites) const {
-        for (; sites; sites &= sites - 1)
-            for (const Move& move : moves[__builtin_ctz(sites)])
-                if (leads_out(band.beside(move.row, id) + move.right)) throw TooNarrow();
+        static constexpr Seen<D> seen;
+        for (int k = 0; sites && k < G::rows; ++k)
+            for (int right = -1; right <= 1; ++right)
+                if (sites & seen.by[k][right + 1] && leads_out(band.beside(k, id) + right)) throw TooNarrow();
     }
 
     bool leads_out(int32_t id) const { return !band.is_active[id] && !band.is_frame[id]; }
@@ -257,21 +285,21 @@ class Stage {
     // Cut a list of tiles between planes of the first axis, into slabs of at least `size` tiles and `planes` planes.
     std::vector<size_t> slabs(const std::vector<int32_t>& ids, size_t size, int64_t planes) const {
         std::vector<size_t> cuts{0};
-        for (size_t i = 1; i < ids.size(); ++i) {
-            const size_t first = cuts.back();
-            const bool is_new_plane = plane(ids[i]) > plane(ids[i - 1]);
-            if (is_new_plane && i - first >= size && plane(ids[i]) - plane(ids[first]) >= planes) cuts.push_back(i);
+        size_t i = 0;
+        int64_t first_plane = 0;  // of the slab
+        for (int64_t plane = 0; i < ids.size(); ++plane) {
+            if (i == 0) first_plane = plane;
+            if (i - cuts.back() >= size && plane - first_plane >= planes) cuts.push_back(i), first_plane = plane;
+            while (i < ids.size() && ids[i] < band.plane_ends[plane]) ++i;
         }
         cuts.push_back(ids.size());
         return cuts;
     }
 
-    int64_t plane(int32_t id) const { return band.word[id] / rows.tiles / rows.inner; }
-
     uint32_t free_word(int64_t word) const { return fillable[word] & ~occupied[word]; }
 
     int64_t bytes() const {
-        int64_t n = band.bytes();
+        int64_t n = band.bytes() + static_cast<int64_t>(is_plain_.capacity() + plain_.capacity());
         for (const auto* v : {&fillable, &occupied, &cells_, &fill_, &free_, &zone[0], &zone[1], &scratch_})
             n += static_cast<int64_t>(4 * v->capacity());
         return n;
@@ -290,6 +318,7 @@ class Stage {
     Team* team = nullptr;
     bool is_shared = false;  // with the other ranks, this step
     int64_t sight = 0;       // then: hops about the own tiles within which layer and cells are those of all
+    bool all_plain = false;  // all tiles of the band
     Words words;
     Work work;
 
@@ -327,6 +356,8 @@ class Stage {
     }
 
     std::vector<uint32_t> cells_, fill_, free_, scratch_;
+    std::vector<int32_t> not_free_;          // tiles that have a site which is not
+    std::vector<uint8_t> is_plain_, plain_;  // of the lattice, of the band
     const Moves moves = all_moves();
     const int64_t lines[kLines] = {rows.line(0), rows.line(1), rows.line(2), rows.line(3)};
 };

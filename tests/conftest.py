@@ -35,7 +35,7 @@ def body_on():
         space = Space(mesh)
         facets = mesh.boundary_facets()
         held = facets[is_fixed(mesh.p[:, mesh.facets[:, facets]].mean(axis=1))]
-        frame = Frame(space, facets, np.unique(space.edge_nodes(held)))
+        frame = Frame(space, facets, np.unique(space.facet_nodes(held)))
         return Body(
             frame,
             law=law,

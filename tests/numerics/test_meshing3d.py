@@ -9,11 +9,12 @@ import pytest
 
 from cicatrix.core.errors import InputError
 from cicatrix.geometry import meshing3d
+from cicatrix.geometry.bcc import bcc_lattice
 from cicatrix.geometry.isosurface import isosurface, segmented_body
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.mesh_quality import is_manifold, n_pieces
 from cicatrix.geometry.meshing3d import Attempt, Border, Region, mesh_body
-from cicatrix.geometry.tetrahedra import area_vectors, bcc_lattice, border, dihedral_angles, volumes
+from cicatrix.geometry.tetrahedra import area_vectors, boundary, dihedral_angles, volumes
 from cicatrix.geometry.volume import Volume
 from cicatrix.image.phantom import phantom
 from cicatrix.image.segment import segment
@@ -73,7 +74,7 @@ def test_lattice_fills_its_box():
     angles = dihedral_angles(points, tetrahedra)
     assert angles.min() == pytest.approx(45.0)
     assert angles.max() == pytest.approx(120.0)
-    outer = border(tetrahedra)
+    outer = boundary(tetrahedra)
     assert area_vectors(points, outer).sum(axis=0) == pytest.approx([0, 0, 0], abs=1e-12)
     assert np.linalg.norm(area_vectors(points, outer), axis=1).sum() == pytest.approx(88.0)  # 2 (24 + 12 + 8)
 
@@ -94,7 +95,7 @@ def test_ball_has_its_volume_and_surface(ball):
     assert volumes(ball.nodes, ball.tetrahedra).sum() == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)
     outer = np.unique(ball.faces)
     assert np.abs(np.linalg.norm(ball.nodes[outer] - CENTRE, axis=1) - RADIUS).max() < 0.5
-    np.testing.assert_array_equal(np.sort(border(ball.tetrahedra), axis=None), np.sort(ball.faces, axis=None))
+    np.testing.assert_array_equal(np.sort(boundary(ball.tetrahedra), axis=None), np.sort(ball.faces, axis=None))
     assert np.sum((ball.nodes[ball.faces].mean(axis=1) - CENTRE) * area_vectors(ball.nodes, ball.faces)) > 0
 
 
@@ -105,7 +106,7 @@ def test_cavity_lies_on_faces(ball):
     assert corners[inside].max() < 0.15
     assert corners[~inside].min() > -0.15
     assert volumes(ball.nodes, ball.tetrahedra[inside]).sum() == pytest.approx(4 / 3 * np.pi * CAVITY**3, rel=0.01)
-    wall = border(ball.tetrahedra[inside])
+    wall = boundary(ball.tetrahedra[inside])
     assert is_manifold(wall)
     assert n_pieces(wall) == 1
     np.testing.assert_array_equal(np.isin(np.unique(wall), np.unique(ball.tetrahedra[~inside])), True)
@@ -230,7 +231,7 @@ def test_manifold_means_no_touching():
     """Two tetrahedra that share a node or an edge touch; apart they do not."""
     first, apart = np.array([[0, 1, 2, 3]]), np.array([[4, 5, 6, 7]])
     for second, answer in ((apart, True), ([[3, 4, 5, 6]], False), ([[2, 3, 4, 5]], False)):
-        assert is_manifold(border(np.concatenate([first, second]))) is answer
+        assert is_manifold(boundary(np.concatenate([first, second]))) is answer
     assert n_pieces(np.concatenate([first, apart])) == 2
     assert n_pieces(np.array([[0, 1, 2, 3], [1, 2, 3, 4]])) == 1
 

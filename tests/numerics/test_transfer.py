@@ -5,7 +5,7 @@ import pytest
 
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.geometry.transfer import OUTSIDE, linear_fit, locate_sites
-from cicatrix.mechanics.body import section_areas
+from cicatrix.mechanics.body import measures
 from cicatrix.mechanics.space import Space
 
 SIDE, PITCH = 6.0, 0.05
@@ -53,7 +53,7 @@ def test_local_coordinates_lead_back(space, sites, points):
 def test_sites_measure_area(space, sites, lattice, points):
     """Element areas to a perimeter's worth of sites; the whole exactly as many as there are sites inside."""
     counts = sites.count(np.ones(len(points), bool))
-    areas = section_areas(space, space.positions).sum(axis=1)
+    areas = measures(space, space.positions).sum(axis=1)
     np.testing.assert_allclose(counts * lattice.site_measure, areas, atol=0.5 * PITCH * 8.0)
     assert counts.sum() == np.count_nonzero(sites.element != OUTSIDE)
 
@@ -68,7 +68,7 @@ def test_linear_field_is_exact(space, sites, points):
     """2 + 3 x - y, fitted at quadrature points and evaluated at sites."""
     at_qp = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
     values = 2 + 3 * at_qp[..., 0] - at_qp[..., 1]
-    fitted = linear_fit(values, section_areas(space, space.positions), space.table.points)
+    fitted = linear_fit(values, measures(space, space.positions), space.table.points)
     found = sites.evaluate(fitted)
     held = sites.element != OUTSIDE
     np.testing.assert_allclose(found[held], 2 + 3 * points[held, 0] - points[held, 1], atol=1e-11)
@@ -77,7 +77,7 @@ def test_linear_field_is_exact(space, sites, points):
 
 def test_fit_keeps_the_weighted_mean(space):
     rng = np.random.default_rng(2)
-    weights = section_areas(space, space.positions) * rng.uniform(0.2, 1, (space.n_elements, space.table.weight.size))
+    weights = measures(space, space.positions) * rng.uniform(0.2, 1, (space.n_elements, space.table.weight.size))
     values = rng.standard_normal(weights.shape)
     c = linear_fit(values, weights, space.table.points)
     at_qp = c[:, :1] + c[:, 1:] @ (space.table.points - 1 / 3).T
@@ -88,7 +88,7 @@ def test_there_and_back_keeps_element_means(space, sites, points):
     """W on the mesh -> lattice -> mean over the sites of each element; what is left is the sites' quadrature, O(h)."""
     at_qp = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
     W = 1 + np.sin(at_qp[..., 0]) * np.cos(at_qp[..., 1] / 2) ** 2
-    areas = section_areas(space, space.positions)
+    areas = measures(space, space.positions)
     at_sites = sites.evaluate(linear_fit(W, areas, space.table.points))
     held = sites.element != OUTSIDE
     counts = sites.count(np.ones(len(points), bool))
@@ -100,7 +100,7 @@ def test_a_bent_edge_is_shared(space, points):
     """Elements with curved edges still share out the sites without gap: midpoints inside the square are moved."""
     X = space.positions.copy()
     facets = np.setdiff1d(np.arange(space.mesh.nfacets), space.mesh.boundary_facets())
-    X[space.edge_nodes(facets)[:, 2], :2] += 0.05
+    X[space.facet_nodes(facets)[:, 2], :2] += 0.05
     bent = locate_sites(X[space.element_nodes[:, :6], :2], points)
     inside = ((points > 1e-9) & (points < SIDE - 1e-9)).all(axis=1)
     assert (bent.element[inside] != OUTSIDE).all()

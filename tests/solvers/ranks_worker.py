@@ -34,6 +34,15 @@ def large_case(i):
     return Automaton(lattice, fillable, open0 & fillable, rules, i), Cue(0.5, 1.0)
 
 
+def smooth_case(i):
+    """More sub-steps than the layer is deep: densities reach further than anything else; a flat step of very many."""
+    shape, radius, n_substeps, layer = [((260, 300), 90, 16, 0), ((260, 300), 90, 60, 1), ((256, 141), 40, 300, 3)][i]
+    lattice = Lattice(shape, 0.01, (0.0,) * len(shape))
+    open0 = np.linalg.norm(lattice.positions() - lattice.position(np.array(shape) / 2), axis=-1) < 0.01 * radius
+    rules = AutomatonRules(p_edge=0.2, p_layer=0.1, layer_sites=layer, motility_substeps=n_substeps, path_noise=3.0)
+    return Automaton(lattice, np.random.default_rng(i).random(shape) > 0.02, open0, rules, i), Cue(0.5, 1.0)
+
+
 CASES = [
     *(lambda i=i: random_case(i) for i in (*range(24), FAR, BESIDE)),
     *(lambda i=i: large_case(i) for i in range(4)),
@@ -96,7 +105,7 @@ class Failing:
 
     def __init__(self):
         self.n, ranks = 0, world()
-        self.rank, self.size, self._gather, self.or_none = ranks.rank, ranks.size, ranks.gather, ranks.or_none
+        self.rank, self.size, self._gather, self.all_or_none = ranks.rank, ranks.size, ranks.gather, ranks.all_or_none
 
     def gather(self, mine):
         self.n += 1

@@ -21,13 +21,18 @@ WORKER = Path(__file__).with_name("ranks_worker.py")
 CASE = """
 kind = "automaton"
 [lattice]
-size = [300, 320]
+type = "fcc"
+size = [90, 90, 90]
 [wound]
-shape = "disc"
-radius_um = 1000.0
+shape = "ball"
+radius_um = 250.0
+[rules]
+p_layer = 0.01
 [run]
-max_steps = 40
+max_steps = 25
 """
+
+DEMO = Path(cicatrix.__file__).parent / "study" / "demo.toml"
 
 needs_mpi = pytest.mark.skipif(MPIEXEC is None, reason="mpiexec is not there")
 needs_native = pytest.mark.skipif(not native.is_native, reason="the compiled module is not there")
@@ -64,7 +69,7 @@ def alone():
 @needs_native
 @pytest.mark.parametrize("n", [2, 3, 5])
 def test_any_number_of_ranks_gives_the_same_bits(n, alone):
-    """30 cases: masks, several wounds, wounds at the frame, p = 0 and 1, both redistributions, energies per site."""
+    """33 cases: masks, several wounds, wounds at the frame, p = 0 and 1, both redistributions, energies per site."""
     told = worker(n, "digests")
     assert told["alike"]
     assert [digest for digest, _ in told["digests"]] == alone
@@ -82,7 +87,9 @@ def test_a_run_on_three_ranks_is_the_run_of_one(case_file, tmp_path):
     assert straight.outcome["occupancy_sha256"].value in done.stdout
     for name in ("history.csv", "figures/closure.png"):
         assert (tmp_path / "three" / name).read_bytes() == (tmp_path / "one" / name).read_bytes()
-    assert "on 3 ranks" in (tmp_path / "three" / "manifest.json").read_text()
+    notes = (tmp_path / "three" / "manifest.json").read_text()
+    assert "on 3 ranks" in notes
+    assert "Several ranks shared 25 steps" in notes
 
 
 @needs_mpi
@@ -111,7 +118,7 @@ def test_a_fault_of_one_rank_ends_all():
     [
         (["run", "nosuch.toml"], "there is no such case file"),
         (["demo"], "cicatrix demo runs in one process: start it without mpiexec"),
-        (["run", Path(__file__).parents[2] / "examples" / "lumpectomy-a13.toml"], "runs in one process"),
+        (["run", DEMO], "runs in one process"),
     ],
 )
 def test_what_ranks_cannot_do_is_told_once(command, sentence, tmp_path):

@@ -15,7 +15,7 @@ from typing import NoReturn
 
 from .. import __version__
 from ..core.errors import CicatrixError, ConvergenceError, InputError
-from ..core.ranks import world
+from ..core.ranks import speaks, world
 
 VERBS = ("demo", "run", "check", "segment", "bench")  # modules, in the order of the road
 ON_RANKS = ("run",)  # what several ranks can do together
@@ -94,11 +94,7 @@ def _tell(error: CicatrixError) -> int:
 
 def _say(sentence: str) -> None:
     """Tell the user, once for all ranks."""
-    try:
-        is_first = world().is_first
-    except InputError:  # which is what is to be told
-        is_first = True
-    if is_first:
+    if speaks():
         print(f"cicatrix: {sentence}", file=sys.stderr)
 
 

@@ -14,7 +14,7 @@ from .arguments import add_case, add_overrides
 from .headline import print_headline
 from .progress import make_progress
 
-AFTER_INTERRUPTION = "; the last checkpoint is kept, the same command with --resume goes on"
+AFTER_INTERRUPTION = "; the same command with --resume goes on from the last checkpoint"
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

@@ -10,9 +10,10 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-# the same bits in every run: MKL may order its sums by threads and by where memory happens to lie, unless told not to
+# the same bits in every run on one kind of machine: MKL may order its sums by threads and by where memory happens to lie, unless
+# told not to; COMPATIBLE would give them on every x86-64, at two to three times the time
 os.environ.setdefault("MKL_NUM_THREADS", "1")
-os.environ.setdefault("MKL_CBWR", "COMPATIBLE")
+os.environ.setdefault("MKL_CBWR", "AUTO")
 
 try:
     import pypardiso

@@ -12,16 +12,21 @@ from .errors import ConvergenceError
 
 @dataclass
 class NewtonReport:
-    """What a nonlinear solve did; ``history`` has one line per attempt, for the reader; ``tell`` hears of each iteration."""
+    """What a nonlinear solve did.
+
+    ``history`` has one line per attempt, for the reader, ``norms`` the residual after each iteration; ``tell`` hears of each.
+    """
 
     iterations: int = 0
     load_steps: int = 0
     history: list[str] = field(default_factory=list)
+    norms: list[float] = field(default_factory=list)
     tell: Callable[[str], None] | None = None
 
     def count(self, norm: float) -> None:
         """Count an iteration that ended with this norm of the residual."""
         self.iterations += 1
+        self.norms.append(norm)
         if self.tell is not None:
             self.tell(f"iteration {self.iterations}, residual {norm:.1e} mN/mm")
 

@@ -21,6 +21,7 @@ T = TypeVar("T")
 
 SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")  # what Open MPI, and MPICH and its kin, tell the processes they start
 PMIX = "PMIX_RANK"  # and what other starters do, without the number
+RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", PMIX)
 FAILED = 3
 
 
@@ -48,14 +49,19 @@ class Ranks:
         return job()
 
     @contextmanager
-    def or_none(self) -> Iterator[None]:
+    def all_or_none(self) -> Iterator[None]:
         """Between steps that all do alike: an error that the others cannot know ends the whole run."""
         yield
 
     @contextmanager
-    def uninterrupted(self) -> Iterator[Callable[[], bool]]:
-        """Let no signal come between what all ranks do alike; the function given tells whether one came meanwhile."""
-        yield lambda: False
+    def uninterrupted(self) -> Iterator[None]:
+        """Let no signal come between what all ranks do alike; ``is_interrupted`` tells whether one came."""
+        yield
+
+    @property
+    def is_interrupted(self) -> bool:
+        """Whether this rank was asked to stop, and goes on until all can."""
+        return False
 
 
 class MpiRanks(Ranks):
@@ -63,6 +69,7 @@ class MpiRanks(Ranks):
 
     def __init__(self, comm: Any) -> None:
         self._comm, self.rank, self.size = comm, comm.Get_rank(), comm.Get_size()
+        self._asked = threading.Event()
 
     def gather(self, mine: bytes) -> list[bytes]:  # noqa: D102
         return self._comm.allgather(mine)
@@ -83,7 +90,7 @@ class MpiRanks(Ranks):
         return done
 
     @contextmanager
-    def or_none(self) -> Iterator[None]:  # noqa: D102
+    def all_or_none(self) -> Iterator[None]:  # noqa: D102
         try:
             yield
         except InvariantError:  # all ranks see it alike
@@ -94,15 +101,24 @@ class MpiRanks(Ranks):
             self._comm.Abort(FAILED)
 
     @contextmanager
-    def uninterrupted(self) -> Iterator[Callable[[], bool]]:  # noqa: D102
-        came = threading.Event()
+    def uninterrupted(self) -> Iterator[None]:  # noqa: D102
+        self._asked.clear()
         kinds = (signal.SIGINT, signal.SIGTERM)
-        before = [signal.signal(kind, lambda *_: came.set()) for kind in kinds]
+        before = [signal.signal(kind, lambda *_: self._asked.set()) for kind in kinds]
         try:
-            yield came.is_set
+            yield
         finally:
             for kind, handler in zip(kinds, before):
                 signal.signal(kind, handler)
+
+    @property
+    def is_interrupted(self) -> bool:  # noqa: D102
+        return self._asked.is_set()
+
+
+def speaks() -> bool:
+    """Whether this process is the one of all ranks that tells the user things; known before MPI is loaded."""
+    return all(os.environ.get(name, "0") == "0" for name in RANKS)
 
 
 @cache

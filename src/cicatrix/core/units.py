@@ -32,6 +32,14 @@ def mm_from_um(length_um: Value) -> Value:
     return length_um * 1e-3
 
 
+MM_PER = {"mm": 1.0, "cm": 10.0, "m": 1000.0}
+
+
+def mm_from(length: Value, unit: str) -> Value:
+    """Length: [unit: mm, cm or m] -> [mm]."""
+    return length * MM_PER[unit]
+
+
 def um_from_mm(length_mm: Value) -> Value:
     """Length: [mm] -> [um]."""
     return length_mm * 1e3

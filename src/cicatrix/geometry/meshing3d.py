@@ -8,11 +8,12 @@ from enum import IntEnum
 import numpy as np
 
 from ..core.errors import InputError
+from .bcc import bcc_lattice
 from .isosurface import Isosurface, Segmented, isosurface, segmented_body, wall_side
 from .mesh_quality import Quality, quality
 from .meshing import INSIDE, Function, element_sizes
 from .solid import Solid, fitted, remesh, split
-from .tetrahedra import bcc_lattice, border, used_only
+from .tetrahedra import boundary, used_only
 from .volume import Volume
 
 FINEST = 1 / 6  # voxels smaller than this share of an edge are averaged
@@ -186,7 +187,7 @@ def _attempt(
     for by_face in (False, True):
         body = _fitted_skin(body, surface, by_face)
         if edges.cavity is not None:
-            body = fitted(body, border(body.tetrahedra[body.refs == INSIDE]), edges.cavity, by_face=by_face)
+            body = fitted(body, boundary(body.tetrahedra[body.refs == INSIDE]), edges.cavity, by_face=by_face)
     return _measured(body, surface, segmented, is_wall, notes)
 
 
@@ -230,7 +231,7 @@ def _fitted_skin(body: Solid, surface: Isosurface, by_face: bool = False) -> Sol
 
 def _free_faces(body: Solid) -> np.ndarray:
     """Outer faces (k, 3) that do not lie where the image ends."""
-    faces = border(body.tetrahedra)
+    faces = boundary(body.tetrahedra)
     return faces[~body.is_flat(faces)]
 
 
@@ -251,7 +252,7 @@ def _level_in(body: Solid, cavity: Function) -> np.ndarray:
     level = cavity(body.nodes)
     if not (level < 0).any():
         raise InputError("The cavity lies outside the body: move resection.centre_mm inside the breast.")
-    if level[np.unique(border(body.tetrahedra))].min() <= 0:
+    if level[np.unique(boundary(body.tetrahedra))].min() <= 0:
         raise InputError(
             "The cavity reaches the surface of the body: move resection.centre_mm inside or choose a smaller resection.radius_mm."
         )
@@ -262,7 +263,7 @@ def _measured(
     body: Solid, surface: Isosurface, segmented: Segmented, is_wall: Function | None, notes: tuple[str, ...]
 ) -> BodyMesh:
     """Mark the outer faces and measure."""
-    faces = border(body.tetrahedra)
+    faces = boundary(body.tetrahedra)
     marker = np.where(body.is_flat(faces), Border.CUT, Border.SKIN).astype(np.uint8)
 
     def on_skin(points: np.ndarray) -> np.ndarray:

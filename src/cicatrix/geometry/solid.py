@@ -8,7 +8,7 @@ import mmgpy
 import numpy as np
 
 from .meshing import INSIDE, Function
-from .tetrahedra import area_vectors, border, dihedral_angles, oriented, used_only, volumes
+from .tetrahedra import area_vectors, boundary, dihedral_angles, oriented, used_only, volumes
 
 SPLIT_ONLY = {"noinsert": True, "noswap": True, "nomove": True}
 GRADATION = 1.3  # edges that meet differ by no more than this factor
@@ -51,7 +51,7 @@ class Solid:
 
     def with_flat_faces(self) -> Solid:
         """Find the triangles on the box by their position."""
-        faces = border(self.tetrahedra)
+        faces = boundary(self.tetrahedra)
         hit = np.isclose(self.nodes[faces][:, :, None], self.box, rtol=0, atol=1e-6).all(axis=1).reshape(-1, 6)
         on_box = hit.any(axis=1)
         refs = (BOX_REF + hit[on_box].argmax(axis=1)).astype(np.int32)

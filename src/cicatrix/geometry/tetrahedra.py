@@ -1,49 +1,54 @@
-"""Tetrahedra: a body-centred cubic lattice of them, their volumes, angles and borders."""
+"""Meshes of tetrahedra: volumes, angles, middles of edges, boundary, and what a mesh must be to carry a body."""
 
 from __future__ import annotations
 
 from itertools import combinations
 
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
 
-FACES = np.array([[1, 2, 3], [0, 3, 2], [0, 1, 3], [0, 2, 1]])  # opposite to corners 0 to 3, seen from outside
+from ..core.errors import InputError
 
-
-def bcc_lattice(low: np.ndarray, high: np.ndarray, edge_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Tetrahedra on the corners and centres of cubes that fill a box.
-
-    Each face between two cubes is shared by four tetrahedra around the line between their centres; each face on the box
-    by two. Dihedral angles are 60 and 90 degrees, at the box 45 to 120.
-
-    Parameters
-    ----------
-    low, high : (3,) array [mm]
-        Corners of the box.
-    edge_mm : float
-        Longest edge of a cube [mm]; it is made a little shorter to fill the box.
-
-    Returns
-    -------
-    points : (n, 3) array [mm]
-    tetrahedra : (m, 4) int32 array
-    """
-    n = np.maximum(np.ceil((high - low) / edge_mm - 1e-9).astype(int), 1)
-    cell = (high - low) / n
-    corner = np.arange(np.prod(n + 1), dtype=np.int32).reshape(n + 1)
-    centre = np.arange(np.prod(n), dtype=np.int32).reshape(n) + np.int32(corner.size)
-    steps = [np.indices(corner.shape).reshape(3, -1).T, np.indices(centre.shape).reshape(3, -1).T + 0.5]
-    points = np.concatenate(steps) * cell + low
-    tetrahedra = np.concatenate([_across(corner, centre, axis) for axis in range(3)])
-    return points, oriented(points, tetrahedra)
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # corners of a tetrahedron, in the order of its middle nodes
+FACES = np.array(  # of a tetrahedron, outward: corners, then the middles of their edges 01, 12, 02
+    [[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [1, 2, 3, 5, 9, 8], [0, 3, 2, 7, 9, 6]]
+)
+OPPOSITE = [2, 3, 1, 0]  # numbers of the faces that lie opposite to corners 0 to 3
+FLAT = 1e-6  # volume over the cube of the longest edge: below that a tetrahedron is none (a regular one has 0.118)
+TURNED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]  # the same tetrahedron seen in a mirror
 
 
-def _across(corner: np.ndarray, centre: np.ndarray, axis: int) -> np.ndarray:
-    """Tetrahedra on the cubes' faces normal to an axis (m, 4)."""
-    corner, centre = np.moveaxis(corner, axis, 0), np.moveaxis(centre, axis, 0)
-    ring = [corner[:, :-1, :-1], corner[:, 1:, :-1], corner[:, 1:, 1:], corner[:, :-1, 1:]]
-    between = [(centre[:-1], centre[1:], p[1:-1], q[1:-1]) for p, q in zip(ring, ring[1:] + ring[:1])]
-    outer = [(centre[end], ring[0][end], ring[k][end], ring[k + 1][end]) for end in (0, -1) for k in (1, 2)]
-    return np.concatenate([np.stack(corners, axis=-1).reshape(-1, 4) for corners in between + outer])
+def with_middles(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Add the middle of every edge as a node: (n, 3) [mm], (m, 4) -> (n + n_edges, 3) [mm], (m, 10); the given stay first."""
+    pairs = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
+    edges, number = np.unique(pairs, axis=0, return_inverse=True)
+    middles = len(points) + number.reshape(-1, len(EDGES))
+    return np.vstack([points, points[edges].mean(axis=1)]), np.hstack([tetrahedra, middles])
+
+
+def volumes(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Signed volume by the corners: (n, 3) [mm], (m, 4 or 10) -> (m,) [mm^3]."""
+    a, b, c, d = np.moveaxis(points[tetrahedra[:, :4]], 1, 0)
+    return np.einsum("ei,ei->e", np.cross(b - a, c - a), d - a) / 6.0
+
+
+def boundary(tetrahedra: np.ndarray) -> np.ndarray:
+    """Nodes of the faces that belong to one tetrahedron only, outward: (m, 4) -> (n_faces, 3), (m, 10) -> (n_faces, 6)."""
+    faces = tetrahedra[:, FACES[:, : 3 if tetrahedra.shape[1] == 4 else 6]].reshape(4 * len(tetrahedra), -1)
+    _, first, count = np.unique(np.sort(faces[:, :3]), axis=0, return_index=True, return_counts=True)
+    return faces[np.sort(first[count == 1])]
+
+
+def unmirrored(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Turn a mesh that is written as its mirror image; other meshes stay as they are: (m, 4 or 10) -> the same."""
+    all_turned = (volumes(points, tetrahedra) < 0.0).all()
+    return tetrahedra[:, TURNED[: tetrahedra.shape[1]]] if all_turned else tetrahedra
+
+
+def oriented(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Swap two corners wherever the volume is negative: (m, 4) -> (m, 4)."""
+    return np.where(volumes(points, tetrahedra)[:, None] < 0, tetrahedra[:, [0, 1, 3, 2]], tetrahedra)
 
 
 def used_only(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -52,33 +57,107 @@ def used_only(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, n
     return points[used], renumbered.reshape(-1, 4).astype(np.int32)
 
 
-def volumes(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Signed volumes: (n, 3) [mm], (m, 4) -> (m,) [mm^3]."""
-    a, b, c, d = points[tetrahedra].transpose(1, 0, 2)
-    return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6
-
-
-def oriented(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Swap two corners wherever the volume is negative: (m, 4) -> (m, 4)."""
-    return np.where(volumes(points, tetrahedra)[:, None] < 0, tetrahedra[:, [0, 1, 3, 2]], tetrahedra)
-
-
-def dihedral_angles(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Angles between the faces of each tetrahedron: (n, 3), (m, 4) -> (m, 6) [degrees]."""
-    normals = [area_vectors(points, tetrahedra[:, face]) for face in FACES]
-    normals = [n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300) for n in normals]
-    cosines = [-np.einsum("ij,ij->i", a, b) for a, b in combinations(normals, 2)]
-    return np.degrees(np.arccos(np.clip(np.stack(cosines, axis=-1), -1, 1)))
-
-
 def area_vectors(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     """Normals as long as the area: (n, 3) [mm], (m, 3) -> (m, 3) [mm^2]."""
     a, b, c = points[triangles].transpose(1, 0, 2)
     return 0.5 * np.cross(b - a, c - a)
 
 
-def border(tetrahedra: np.ndarray) -> np.ndarray:
-    """Faces of one tetrahedron only, seen from outside: (m, 4) -> (k, 3)."""
-    faces = tetrahedra[:, FACES].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return faces[np.sort(first[count == 1])]
+def dihedral_angles(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Angles between the faces of each tetrahedron: (n, 3), (m, 4) -> (m, 6) [degrees]."""
+    normals = [area_vectors(points, tetrahedra[:, face]) for face in FACES[OPPOSITE, :3]]
+    normals = [n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300) for n in normals]
+    cosines = [-np.einsum("ij,ij->i", a, b) for a, b in combinations(normals, 2)]
+    return np.degrees(np.arccos(np.clip(np.stack(cosines, axis=-1), -1, 1)))
+
+
+def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray) -> None:
+    """Refuse a mesh that no body can have.
+
+    Parameters
+    ----------
+    points : (n, 3) array [mm]
+        Nodes.
+    tetrahedra : (m, 4) or (m, 10) int array
+        Corners, then middles of edges, oriented.
+    is_fixed : (n,) bool array
+        Nodes that are held.
+
+    Raises
+    ------
+    InputError
+        With the first fault: what, where, and what would be right.
+    """
+    _check_numbers(points, tetrahedra)
+    _check_shapes(points, tetrahedra)
+    _check_surface(points, tetrahedra)
+    _check_supports(points, tetrahedra, is_fixed)
+
+
+def _check_numbers(points: np.ndarray, tetrahedra: np.ndarray) -> None:
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad.size:
+        raise InputError(f"node {bad[0]} has a coordinate that is not a number; all must be finite")
+    unused = np.setdiff1d(np.arange(len(points)), tetrahedra)
+    if unused.size:
+        raise InputError(
+            f"{unused.size} nodes belong to no tetrahedron, the first is node {unused[0]} at {_place(points[unused[0]])}: "
+            "remove them"
+        )
+    _, first, count = np.unique(np.sort(tetrahedra[:, :4]), axis=0, return_index=True, return_counts=True)
+    if (count > 1).any():
+        twice = first[count > 1].min()
+        raise InputError(
+            f"{np.count_nonzero(count > 1)} tetrahedra are there more than once, the first is number {twice} at "
+            f"{_centre(points, tetrahedra, twice)}: each may be there once"
+        )
+
+
+def _check_shapes(points: np.ndarray, tetrahedra: np.ndarray) -> None:
+    corners = points[tetrahedra[:, :4]]
+    longest = np.linalg.norm(corners[:, [i for i, _ in EDGES]] - corners[:, [j for _, j in EDGES]], axis=2).max(axis=1)
+    quality = volumes(points, tetrahedra) / longest**3
+    bad = np.flatnonzero(quality < FLAT)
+    if bad.size:
+        raise InputError(
+            f"{bad.size} tetrahedra are inverted or flat, the first is number {bad[0]} at {_centre(points, tetrahedra, bad[0])}: "
+            "all must have positive volume"
+        )
+
+
+def _check_surface(points: np.ndarray, tetrahedra: np.ndarray) -> None:
+    faces = np.sort(tetrahedra[:, FACES[:, :3]].reshape(-1, 3), axis=1)
+    shared, count = np.unique(faces, axis=0, return_counts=True)
+    if (count > 2).any():
+        at = _place(points[shared[count > 2][0]].mean(axis=0))
+        raise InputError(f"a face at {at} belongs to more than two tetrahedra: the mesh overlaps itself there")
+    outer = boundary(tetrahedra[:, :4])
+    sides = np.sort(outer[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    edges, count = np.unique(sides, axis=0, return_counts=True)
+    if (count != 2).any():
+        at = _place(points[edges[count != 2][0]].mean(axis=0))
+        raise InputError(f"the surface meets itself along an edge at {at}: each edge of it must belong to two faces")
+
+
+def _check_supports(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray) -> None:
+    if not is_fixed.any():
+        raise InputError("no node is fixed: mark some by point data `fixed` = 1, or the body falls")
+    n, m = len(points), len(tetrahedra)
+    ones, cells = np.ones(4 * m), np.repeat(np.arange(m), 4)
+    holds = sp.coo_array((ones, (tetrahedra[:, :4].ravel(), cells)), shape=(n, m)).tocsr()
+    _, piece = connected_components(holds @ holds.T, directed=False)
+    corner = np.zeros(n, bool)
+    corner[tetrahedra[:, :4]] = True
+    pieces = np.unique(piece[corner])
+    if pieces.size > 1:
+        smallest = min(pieces, key=lambda i: np.count_nonzero(piece == i))
+        at = _place(points[corner & (piece == smallest)].mean(axis=0))
+        raise InputError(f"the body falls into {pieces.size} pieces, the smallest about {at}: it must be one")
+
+
+def _place(point: np.ndarray) -> str:
+    return "({}) mm".format(", ".join(f"{value:.1f}" for value in point))
+
+
+def _centre(points: np.ndarray, tetrahedra: np.ndarray, number: int) -> str:
+    return _place(points[tetrahedra[number, :4]].mean(axis=0))

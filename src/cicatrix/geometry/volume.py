@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import map_coordinates
 
 
 @dataclass(frozen=True)
@@ -55,8 +56,6 @@ class Volume:
 
     def sample(self, points_mm: np.ndarray, order: int = 1) -> np.ndarray:
         """Interpolate: points (..., 3) [mm] -> (...) or (n_channels, ...); outside, the nearest voxel counts."""
-        from scipy.ndimage import map_coordinates  # half a second that only a run needs, not the command line
-
         coordinates = np.moveaxis(self.voxel(points_mm), -1, 0)
         channels = self.values if self.values.ndim == 4 else self.values[None]
         out = np.stack([map_coordinates(c, coordinates, order=order, mode="nearest", output=float) for c in channels])

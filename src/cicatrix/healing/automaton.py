@@ -239,6 +239,11 @@ class NativeCore:
         """What the last step had to look at (tiles, sites), and the bytes held."""
         return self._cells.work
 
+    @property
+    def ranks_of_last_step(self) -> int:
+        """Ranks that shared the last step; 1 where each did the whole."""
+        return self._cells.work["ranks"]
+
     def occupancy(self) -> np.ndarray:
         """Sites that hold a cell: bool array of the lattice's shape."""
         return unpack_rows(self._cells.occupancy(), self.shape)
@@ -246,7 +251,7 @@ class NativeCore:
     def advance(self, n_steps: int, W: np.ndarray, W_ref: float) -> np.ndarray:
         """As ``TwinCore.advance``; all ranks must call it alike."""
         team = self._ranks if self._ranks.size > 1 else None
-        with self._ranks.or_none():
+        with self._ranks.all_or_none():
             try:
                 return self._cells.advance(n_steps, W, W_ref, team)
             except native.InvariantFault as error:

@@ -40,6 +40,8 @@ class TwinCore:
         self._occupancy, self.step = occupancy.copy(), step
         self.last: list[int] = []  # what the last step gave, as a row of ``advance``
 
+    ranks_of_last_step = 1  # every rank does the whole
+
     def occupancy(self) -> np.ndarray:
         """Sites that hold a cell: bool array of the lattice's shape."""
         return self._occupancy.copy()

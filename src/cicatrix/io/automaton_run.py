@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..core import native
-from ..core.errors import InputError
+from ..core.errors import InputError, InvariantError
 from ..core.ranks import Ranks, world
 from ..healing.automaton import Automaton, AutomatonState, NativeCore, pack_rows, unpack_rows
 from ..healing.twin import TwinCore
@@ -40,36 +40,30 @@ class AutomatonRun:
     steps_of_fronts: list[int] = field(default_factory=list)
     seconds: float = 0.0
     last_row: int = 0
+    n_shared: int = 0  # steps that several ranks shared
     saved: float = field(default_factory=time.perf_counter)
 
     def go(self) -> str:
         """Run to closure or to the last step; returns the sentence that ends the run."""
-        with self.ranks.uninterrupted() as interruption:
-            with self.progress.stage("lattice"):
-                automaton, cue = self.ranks.agree(lambda: _model(self.case))
-                state = self.ranks.share(self.ranks.agree(lambda: self._start(automaton)))
-                core = self.ranks.agree(lambda: _core(self.case, automaton, state, self.ranks))
-                self.folder.note(_how(self.ranks))
-            with self.progress.stage("heal"):
-                n_open = self._heal(automaton, core, cue, interruption)
-            with self.progress.stage("outcome"):
-                return self._finish(automaton, core, n_open)
+        with self.progress.stage("lattice"):
+            automaton, cue = self.ranks.agree(lambda: _model(self.case))
+            state = self.ranks.share(self.ranks.agree(lambda: self._start(automaton)))
+            core = self.ranks.agree(lambda: _core(self.case, automaton, state, self.ranks))
+            self.folder.note(_how(self.ranks))
+        with self.progress.stage("heal"):
+            n_open = self._heal(automaton, core, cue)
+        with self.progress.stage("outcome"):
+            return self._finish(automaton, core, n_open)
 
-    def _heal(
-        self,
-        automaton: Automaton,
-        core: NativeCore | TwinCore,
-        cue: tuple[np.ndarray, float],
-        interruption: Callable[[], bool],
-    ) -> int:
+    def _heal(self, automaton: Automaton, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float]) -> int:
         """Do the steps, the other ranks with them; returns the sites that are open at the end."""
         n_fillable, n_open0 = int(np.count_nonzero(automaton.fillable)), int(np.count_nonzero(automaton.open0))
         n_open = n_fillable - int(np.count_nonzero(core.occupancy()))
         try:
-            while n_open and core.step < self.case.run.max_steps and not interruption():
+            while n_open and core.step < self.case.run.max_steps and not self.ranks.is_interrupted:
                 self.ranks.share(True)
                 n_open = self._step(core, cue, n_fillable, n_open0)
-            if interruption():
+            if self.ranks.is_interrupted:
                 raise KeyboardInterrupt
         except KeyboardInterrupt:
             if core.step > self.last_row:  # it came between a step and its row
@@ -78,6 +72,8 @@ class AutomatonRun:
             raise
         finally:
             self.ranks.share(False)
+        if self.ranks.size > 1:
+            self.folder.note(f"Several ranks shared {self.n_shared} steps; the others were too short to be worth it.")
         return n_open
 
     def _step(self, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float], n_fillable: int, n_open0: int) -> int:
@@ -85,6 +81,7 @@ class AutomatonRun:
         started = time.perf_counter()
         core.advance(1, *cue)
         self.seconds += time.perf_counter() - started
+        self.n_shared += core.ranks_of_last_step > 1
         n_open, closed = self._record(core, n_fillable, n_open0)
         if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
             self._save(core)
@@ -147,12 +144,15 @@ class AutomatonRun:
 
 def follow(case: AutomatonCase, ranks: Ranks) -> None:
     """Do the steps of the run that the first rank leads: what it asks of all, in its order."""
-    with ranks.uninterrupted():
-        automaton, cue = ranks.agree(lambda: _model(case))
-        state = ranks.share(ranks.agree(automaton.initial_state))
-        core = ranks.agree(lambda: _core(case, automaton, state, ranks))
+    automaton, cue = ranks.agree(lambda: _model(case))
+    state = ranks.share(ranks.agree(automaton.initial_state))
+    core = ranks.agree(lambda: _core(case, automaton, state, ranks))
+    try:
         while ranks.share(False):
             core.advance(1, *cue)
+    except InvariantError:  # on all ranks alike: the first one, too, has this left to say
+        ranks.share(False)
+        raise
 
 
 def _model(case: AutomatonCase) -> tuple[Automaton, tuple[np.ndarray, float]]:

@@ -15,14 +15,20 @@ from pydantic import ValidationError
 from ..core.errors import InputError
 from ..study.automaton_case import AutomatonCase
 from ..study.case import LumpectomyCase, Table
+from ..study.equilibrium_case import EquilibriumCase
 from ..study.limits import FAULT, OUT_OF_RANGE
 from .paths import input_path
 
-Case = LumpectomyCase | AutomatonCase
-KINDS: dict[str, type[Case]] = {"lumpectomy": LumpectomyCase, "automaton": AutomatonCase}
+Case = LumpectomyCase | AutomatonCase | EquilibriumCase
+KINDS: dict[str, type[Case]] = {
+    "lumpectomy": LumpectomyCase,
+    "automaton": AutomatonCase,
+    "equilibrium": EquilibriumCase,
+}
 FILES = {  # table and key of everything that names a file
     "lumpectomy": (("image", "path"), ("image", "labels")),
     "automaton": (("lattice", "fillable"), ("wound", "mask"), ("cue", "W")),
+    "equilibrium": (("body", "mesh"),),
 }
 
 TYPE_WORDS = {

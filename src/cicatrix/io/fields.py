@@ -1,4 +1,4 @@
-"""Fields on triangles for ParaView: one VTU per part and cycle, and a series file with times in days."""
+"""Fields on triangles and tetrahedra for ParaView: one VTU per part and cycle, and a series file with times in days."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 from .atomic import replacing, write_bytes
 
 SERIES = "series.pvd"
-CELL_TYPES = {3: "triangle", 6: "triangle6"}
+CELL_TYPES = {3: "triangle", 6: "triangle6", 4: "tetra", 10: "tetra10"}
 NAME = re.compile(r"(?P<part>.+)-(?P<cycle>\d{4,})\.vtu")
 
 
@@ -36,11 +36,11 @@ class Frame:
 def write_vtu(
     path: Path,
     points: np.ndarray,
-    triangles: np.ndarray,
+    cells: np.ndarray,
     point_data: Mapping[str, np.ndarray] | None = None,
     cell_data: Mapping[str, np.ndarray] | None = None,
 ) -> None:
-    """Write a triangle mesh with data, whole or not at all.
+    """Write a mesh of triangles or tetrahedra with data, whole or not at all.
 
     Parameters
     ----------
@@ -48,22 +48,23 @@ def write_vtu(
         Ends in ``.vtu``.
     points : (n_points, 2) or (n_points, 3) array [mm]
         Nodes; a plane mesh lies at z = 0.
-    triangles : (n_cells, 3) or (n_cells, 6) array of int
-        Corners counter-clockwise, then the middles of edges 01, 12, 20.
+    cells : (n_cells, 3, 6, 4 or 10) array of int
+        Corners of triangles counter-clockwise, then the middles of edges 01, 12, 20; corners of tetrahedra, then the middles
+        of edges 01, 12, 02, 03, 13, 23.
     point_data, cell_data : mapping of str to array
         One row per node or cell; rows of length 2 get a third component 0, booleans become 0 and 1.
 
     Raises
     ------
     ValueError
-        If a triangle has neither 3 nor 6 nodes, or data have the wrong number of rows.
+        If a cell has another number of nodes, or data have the wrong number of rows.
     """
-    triangles = np.asarray(triangles)
-    if triangles.ndim != 2 or triangles.shape[1] not in CELL_TYPES:
-        raise ValueError(f"triangles must be (n, 3) or (n, 6); got {triangles.shape}")
+    cells = np.asarray(cells)
+    if cells.ndim != 2 or cells.shape[1] not in CELL_TYPES:
+        raise ValueError(f"cells must be (n, 3), (n, 6), (n, 4) or (n, 10); got {cells.shape}")
     mesh = meshio.Mesh(
         _spatial(np.asarray(points, float)),
-        [(CELL_TYPES[triangles.shape[1]], triangles)],
+        [(CELL_TYPES[cells.shape[1]], cells)],
         point_data={name: _plain(values) for name, values in (point_data or {}).items()},
         cell_data={name: [_plain(values)] for name, values in (cell_data or {}).items()},
     )

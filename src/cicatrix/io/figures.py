@@ -162,7 +162,7 @@ def outline_figure(
 
 
 def _cavity_edges(planned: Plan) -> np.ndarray:
-    return planned.intact.frame.space.edge_nodes(planned.cavity_border)[:, :2]
+    return planned.intact.frame.space.facet_nodes(planned.cavity_border)[:, :2]
 
 
 def _dress(ax: Axes, planned: Plan) -> None:

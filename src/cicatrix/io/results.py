@@ -191,14 +191,14 @@ class RunFolder:
         cycle: int,
         time_days: float,
         points: np.ndarray,
-        triangles: np.ndarray,
+        cells: np.ndarray,
         point_data: Mapping[str, np.ndarray] | None = None,
         cell_data: Mapping[str, np.ndarray] | None = None,
     ) -> Path:
         """Write ``fields/PART-CYCLE.vtu`` and enter it in the series; arguments as :func:`.fields.write_vtu`."""
         frame = Frame(part, int(cycle), float(time_days))
         path = self.path / "fields" / frame.file
-        write_vtu(path, points, triangles, point_data, cell_data)
+        write_vtu(path, points, cells, point_data, cell_data)
         self._frames = [*(other for other in self._frames if other.file != frame.file), frame]
         write_series(self.path / "fields", self._frames)
         return path

@@ -15,7 +15,11 @@ from .cases import Case, case_table, input_files
 from .progress import Progress
 from .results import Results, RunFolder, read_results
 
-RUNS = {"lumpectomy": (".lumpectomy_run", "LumpectomyRun"), "automaton": (".automaton_run", "AutomatonRun")}
+RUNS = {
+    "lumpectomy": (".lumpectomy_run", "LumpectomyRun"),
+    "automaton": (".automaton_run", "AutomatonRun"),
+    "equilibrium": (".equilibrium_run", "EquilibriumRun"),
+}
 FOLLOWERS = {"automaton": (".automaton_run", "follow")}  # what the other ranks of several do
 
 
@@ -26,7 +30,7 @@ def simulate(
 
     Parameters
     ----------
-    case : LumpectomyCase or AutomatonCase
+    case : LumpectomyCase, AutomatonCase or EquilibriumCase
         What to run.
     out : str or Path, optional
         The run's folder; without it nothing is kept on disk.
@@ -57,16 +61,17 @@ def simulate(
         return RunFolder.open(
             out,
             case_table(case),
-            seed=case.run.seed,
+            seed=case.seed,
             inputs=input_files(case),
             sources=sources_of(case),
             resume=resume,
             progress=progress,
         )
 
-    folder = ranks.agree(lambda: opened() if ranks.is_first else None)
-    results: Any = ranks.agree(lambda: _lead(case, folder, progress, ranks) if folder else _follow(case, ranks))
-    return ranks.share(results)
+    with ranks.uninterrupted():
+        folder = ranks.agree(lambda: opened() if ranks.is_first else None)
+        results: Any = ranks.agree(lambda: _lead(case, folder, progress, ranks) if folder else _follow(case, ranks))
+        return ranks.share(results)
 
 
 def _lead(case: Case, folder: RunFolder, progress: Progress, ranks: Ranks) -> Results:

@@ -20,6 +20,7 @@ from .elements import (
     bulk_force,
     deformation_gradient,
     dilation,
+    kept_share,
     linearised,
     linearised_reference,
     membrane_energy,
@@ -27,7 +28,7 @@ from .elements import (
     tangent,
 )
 from .pattern import Pattern
-from .space import Space
+from .space import SolidSpace, Space
 
 # the fused code generator of XLA takes twice as long to compile these kernels, and they run no faster for it
 COMPILER = {"xla_cpu_use_fusion_emitters": False}
@@ -39,26 +40,26 @@ class Frame:
 
     Parameters
     ----------
-    space : Space
+    space : Space or SolidSpace
         Nodes and elements.
     skin_facets : (n_edges,) int array
-        Mesh edges that carry the skin membrane.
+        Mesh edges that carry the skin membrane; none in a solid yet.
     fixed_nodes : (n,) int array
         Nodes held at their place (chest wall).
     """
 
-    space: Space
+    space: Space | SolidSpace
     skin_facets: np.ndarray
     fixed_nodes: np.ndarray
 
     @cached_property
     def skin_nodes(self) -> np.ndarray:
         """Nodes of the skin edges (n_edges, 3)."""
-        return self.space.edge_nodes(self.skin_facets)
+        return self.space.facet_nodes(self.skin_facets)
 
     @cached_property
     def blocks(self) -> list[np.ndarray]:
-        """Degrees of freedom (3 node + component) of triangles (n, 21) and skin edges (n, 9)."""
+        """Degrees of freedom (3 node + component) of elements (n, 3a) and skin edges (n, 9)."""
         return [_dofs(self.space.element_nodes), _dofs(self.skin_nodes)]
 
     @cached_property
@@ -83,7 +84,7 @@ class Frame:
 
 
 def _dofs(nodes: np.ndarray) -> np.ndarray:
-    return (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), -1)
+    return (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 3 * nodes.shape[1])
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,13 +117,20 @@ class Body:
     skin_thickness: np.ndarray
     wrinkling_strain: float = 0.1
 
+    @cached_property
+    def kept(self) -> np.ndarray:
+        """Share of the volume ratio's fluctuation that each element keeps (n_elements,) [1]; none in a section."""
+        if isinstance(self.frame.space, Space):
+            return np.zeros(self.frame.space.n_elements)
+        return np.asarray(_kept_shares(self.law, self.density.shape)).mean(axis=1)
+
     def with_tissue(self, law: EnergyMaterial, density: np.ndarray, fraction: np.ndarray) -> Body:
         """The same frame and skin, other tissue; refuses nothing and compiles nothing."""
         return replace(self, law=law, density=density, fraction=fraction)
 
     @property
     def _bulk(self) -> Bulk:
-        return Bulk(self.law, jnp.asarray(self.density), jnp.asarray(self.fraction))
+        return Bulk(self.law, jnp.asarray(self.density), jnp.asarray(self.fraction), jnp.asarray(self.kept))
 
     @property
     def _membrane(self) -> Membrane:
@@ -136,7 +144,7 @@ class Body:
         return active
 
     def dilation(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Volume ratio, linear in each element, at quadrature points: X, x (n_nodes, 3) [mm] -> (n_elements, n_qp) [1]."""
+        """Volume ratio, projected in each element, at quadrature points: X, x (n_nodes, 3) [mm] -> (n_elements, n_qp) [1]."""
         cells = self.frame.space.element_nodes
         return np.asarray(_dilations(self._tables, X[cells], x[cells], self._bulk))
 
@@ -217,12 +225,12 @@ class Body:
 
     def inside_out(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Elements that some point of has turned over between X and x (n,): no shape of any tissue, whatever balances."""
-        turned = (_local_areas(self.frame.space, X) * _local_areas(self.frame.space, x) <= 0.0).any(axis=1)
+        turned = (local_volumes(self.frame.space, X) * local_volumes(self.frame.space, x) <= 0.0).any(axis=1)
         return np.flatnonzero(turned & (self.fraction > 0.0))
 
     def volumes(self, X: np.ndarray) -> np.ndarray:
-        """Area of the section at quadrature points: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^2]."""
-        return section_areas(self.frame.space, X)
+        """Volume (a section's area) at quadrature points: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^3, mm^2]."""
+        return measures(self.frame.space, X)
 
     @property
     def _tables(self) -> _Tables:
@@ -232,30 +240,34 @@ class Body:
 class _Tables:
     """Static argument of the compiled functions: equal for equal spaces."""
 
-    def __init__(self, space: Space) -> None:
-        self.bulk, self.edge, self._order = space.table, space.edge_table, space.quadrature_order
+    def __init__(self, space: Space | SolidSpace) -> None:
+        self.bulk, self.edge, self._kind = space.table, space.facet_table, space.kind
 
     def __hash__(self) -> int:
-        return hash(self._order)
+        return hash(self._kind)
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Tables) and other._order == self._order
+        return isinstance(other, _Tables) and other._kind == self._kind
 
 
-def section_areas(space: Space, X: np.ndarray) -> np.ndarray:
-    """Area belonging to each quadrature point: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^2]."""
-    return space.table.weight * np.abs(_local_areas(space, X))
+def measures(space: Space | SolidSpace, X: np.ndarray) -> np.ndarray:
+    """Volume (a section's area) of each quadrature point: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^3, mm^2]."""
+    return space.table.weight * np.abs(local_volumes(space, X))
 
 
-def _local_areas(space: Space, X: np.ndarray) -> np.ndarray:
-    """Signed area over that of the reference triangle (n_elements, n_qp) [mm^2]."""
-    return np.linalg.det(np.einsum("eai,qab->eqib", X[space.element_nodes][..., :2], space.table.gradient))
+def local_volumes(space: Space | SolidSpace, X: np.ndarray) -> np.ndarray:
+    """Signed volume (a section's area) over that of the reference element (n_elements, n_qp) [mm^3, mm^2]."""
+    axes = space.table.gradient.shape[-1]
+    return np.linalg.det(np.einsum("eai,qab->eqib", X[space.element_nodes][..., :axes], space.table.gradient))
 
 
-def deformation_gradients(space: Space, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+def deformation_gradients(space: Space | SolidSpace, X: np.ndarray, x: np.ndarray) -> np.ndarray:
     """F = dx/dX at quadrature points: X, x (n_nodes, 3) [mm] -> (n_elements, n_qp, 3, 3) [1]."""
     cells = space.element_nodes
     return np.asarray(_gradients(_Tables(space), X[cells], x[cells]))
+
+
+_kept_shares = jax.jit(kept_share, static_argnums=1, compiler_options=COMPILER)
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
@@ -296,7 +308,16 @@ def _skin_energies(tables, X_edges, x_edges, membrane):
     return membrane_energy(X_edges, x_edges, membrane, tables.edge)
 
 
-KERNELS = (_dilations, _forces, _linearisations, _reference_linearisations, _energies, _skin_energies, _gradients)
+KERNELS = (
+    _dilations,
+    _forces,
+    _linearisations,
+    _reference_linearisations,
+    _energies,
+    _skin_energies,
+    _gradients,
+    _kept_shares,
+)
 
 
 def compiled_variants() -> int:

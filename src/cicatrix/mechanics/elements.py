@@ -2,7 +2,8 @@
 
 A section is one slice of a body that is uniform along its normal: positions are x(s, t) + z e3 with three components
 each, so deformation gradients are 3 x 3 and gravity may have a component along the normal (antiplane shear). With no
-such component this is plane strain.
+such component this is plane strain. What is "per depth" for a section is the whole for a solid: read mN for mN/mm, mm^3
+for mm^2.
 """
 
 from __future__ import annotations
@@ -29,6 +30,8 @@ class Bulk(NamedTuple):
     """Mass per reference volume (n_elements, n_qp) [kg/mm^3]."""
     fraction: Array
     """Share of each element that is tissue (n_elements,) [1]."""
+    kept: Array
+    """Share of the volume ratio's fluctuation within each element that its projection keeps (n_elements,) [1]."""
 
 
 class Membrane(NamedTuple):
@@ -42,8 +45,10 @@ class Membrane(NamedTuple):
 
 
 def local_map(x: Array, gradient: np.ndarray) -> Array:
-    """Derivative of position by the local axes and the normal: x (n, n_shape, 3) -> (n, n_qp, 3, 3) [mm]."""
+    """Derivative of position by the local axes, and a section's normal: x (n, n_shape, 3) -> (n, n_qp, 3, 3) [mm]."""
     columns = jnp.einsum("eai,qab->eqib", x, gradient)
+    if columns.shape[-1] == 3:
+        return columns
     normal = jnp.broadcast_to(NORMAL, (*columns.shape[:2], 3))
     return jnp.concatenate([columns, normal[..., None]], axis=-1)
 
@@ -53,14 +58,39 @@ def deformation_gradient(X: Array, x: Array, gradient: np.ndarray) -> Array:
     return product(local_map(x, gradient), inv(local_map(X, gradient)))
 
 
-def linear_projection(points: np.ndarray, weights: Array) -> Array:
-    """L2 projection on linear functions of each element, quadrature points to quadrature points.
+def projection(basis: np.ndarray, weights: Array) -> Array:
+    """L2 projection on a few functions of each element, quadrature points to quadrature points.
 
-    points (n_qp, 2) local coordinates, weights (n, n_qp) -> (n, n_qp, n_qp).
+    basis (n_qp, 1 or 3), weights (n, n_qp) -> (n, n_qp, n_qp).
     """
-    basis = np.column_stack([np.ones(len(points)), points - 1.0 / 3.0])
     mass = jnp.einsum("eq,qi,qj->eij", weights, basis, basis)
-    return jnp.einsum("qi,eij,rj,er->eqr", basis, inv(mass), basis, weights)
+    inverse = 1.0 / mass if basis.shape[1] == 1 else inv(mass)
+    return jnp.einsum("qi,eij,rj,er->eqr", basis, inverse, basis, weights)
+
+
+STIFFEST = (
+    500.0  # bulk over shear modulus, Poisson ratio 0.499: up to there four points of a P2 tetrahedron do not lock
+)
+
+
+def kept_share(law: EnergyMaterial, shape: tuple[int, ...]) -> Array:
+    r"""Share of the fluctuation of a solid's volume ratio that is kept, at points of a shape [1].
+
+    :math:`\min(1, \sqrt{500 \mu / \kappa})`, with the moduli at rest.
+
+    A P2 tetrahedron with four points checks the volume four times, about as often as it has degrees of freedom of its own:
+    beyond a Poisson ratio of 0.499 it begins to lock. There the bulk modulus acts in full on the mean volume ratio of an element,
+    and on the fluctuation about it as it would at 0.499 (the square of this share times itself), which leaves room for the
+    gradient of the pressure. docs/decisions/0013 has the measured errors.
+    """
+    rest = jnp.broadcast_to(jnp.cbrt(law.volume_at_rest()), shape)[..., None, None] * jnp.eye(3)
+    _, tangent_at_rest = jax.linearize(law.stress, rest)
+    columns = jax.vmap(lambda d: tangent_at_rest(jnp.broadcast_to(d, rest.shape)))(np.eye(9).reshape(9, 3, 3))
+    A = columns.reshape(3, 3, *columns.shape[1:])
+    volumetric = sum(A[i, i, ..., j, j] for i in range(3) for j in range(3))
+    every = sum(A[i, j, ..., i, j] for i in range(3) for j in range(3))
+    shear, bulk = (3.0 * every - volumetric) / 30.0, volumetric / 9.0
+    return jnp.sqrt(jnp.clip(STIFFEST * shear / bulk, 0.0, 1.0))
 
 
 def dilated(F: Array, J_bar: Array) -> Array:
@@ -68,32 +98,55 @@ def dilated(F: Array, J_bar: Array) -> Array:
     return jnp.cbrt(J_bar / det(F))[..., None, None] * F
 
 
-def kinematics(X: Array, x: Array, table: Table) -> tuple[Array, Array, Array]:
-    """F [1], L2 projection on linear functions, and weights [mm^2] at quadrature points: X, x (n, a, 3) [mm]."""
+class Smoothing(NamedTuple):
+    """What makes one volume ratio, or one pressure, of the values at an element's quadrature points; its own adjoint."""
+
+    onto: Array
+    """L2 projection (n, n_qp, n_qp) [1]."""
+    kept: Array
+    """Share of what the projection takes away that is left (n_elements,) [1]."""
+
+    def projected(self, values: Array) -> Array:
+        """(n, n_qp, ...) -> (n, n_qp, ...), all fluctuation taken away."""
+        return jnp.einsum("eqr,er...->eq...", self.onto, values)
+
+    def split(self, values: Array) -> tuple[Array, Array]:
+        """(n, n_qp, ...) -> the share of the values as they are, and that of their projection; their sum is smooth."""
+        kept = self.kept.reshape(-1, *[1] * (values.ndim - 1))
+        return kept * values, (1.0 - kept) * self.projected(values)
+
+    def smooth(self, values: Array) -> Array:
+        """(n, n_qp, ...) -> (n, n_qp, ...)."""
+        return sum(self.split(values))  # pyright: ignore[reportReturnType]
+
+
+def kinematics(X: Array, x: Array, bulk: Bulk, table: Table) -> tuple[Array, Smoothing, Array]:
+    """F [1], smoothing of the volume ratio, and weights [mm^2] at quadrature points: X, x (n, a, 3) [mm].
+
+    Open elements are left undeformed: whatever their nodes do, nothing of it, not even a NaN, reaches the tissue.
+    """
+    x = jnp.where(bulk.fraction[:, None, None] > 0.0, x, X)
     X_map = local_map(X, table.gradient)
     weights = table.weight * jnp.abs(det(X_map))  # the mesh library orients triangles either way
-    return product(local_map(x, table.gradient), inv(X_map)), linear_projection(table.points, weights), weights  # pyright: ignore[reportReturnType]
+    F: Array = product(local_map(x, table.gradient), inv(X_map))
+    return F, Smoothing(projection(table.volume, weights), bulk.kept), weights  # pyright: ignore[reportReturnType]
 
 
 def dilation(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
-    """Element-wise linear projection J_bar of the volume ratio, at quadrature points: X, x (n, 7, 3) [mm] -> (n, n_qp).
+    """Element-wise projection J_bar of the volume ratio, at quadrature points: X, x (n, a, 3) [mm] -> (n, n_qp).
 
-    Pressure and volume then live in the discontinuous linear space, which with the bubble is stable and of full order
-    however incompressible the tissue (Crouzeix & Raviart 1973; three fields as in Simo, Taylor & Pister 1985).
+    In a section it is linear: pressure and volume then live in the discontinuous linear space, which with the bubble is
+    stable and of full order however incompressible the tissue (Crouzeix & Raviart 1973; three fields as in Simo, Taylor
+    & Pister 1985). In a solid it is the mean and a share of the fluctuation about it (:func:`kept_share`).
     """
-    F, projection, _ = kinematics(X, _tissue_only(X, x, bulk), table)
-    return jnp.einsum("eqr,er->eq", projection, det(F))
+    F, smoothing, _ = kinematics(X, x, bulk, table)
+    return smoothing.smooth(det(F))
 
 
 def bulk_energy(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
-    """Strain energy per reference volume at quadrature points: X, x (n, 7, 3) [mm] -> (n, n_qp) [kPa]."""
-    F, _, _ = kinematics(X, _tissue_only(X, x, bulk), table)
+    """Strain energy per reference volume at quadrature points: X, x (n, a, 3) [mm] -> (n, n_qp) [kPa]."""
+    F, _, _ = kinematics(X, x, bulk, table)
     return bulk.law.energy(dilated(F, dilation(X, x, bulk, table)))
-
-
-def _tissue_only(X: Array, x: Array, bulk: Bulk) -> Array:
-    """Leave open elements undeformed: whatever their nodes do, nothing of it, not even a NaN, reaches the tissue."""
-    return jnp.where(bulk.fraction[:, None, None] > 0.0, x, X)
 
 
 def point_stress(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array) -> tuple[Array, Array]:
@@ -118,9 +171,9 @@ def slopes(X: Array, table: Table) -> Array:
 
 
 def bulk_force(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
-    """Internal minus gravity forces per depth on the nodes: X, x (n, 7, 3) [mm], J_bar (n, n_qp) -> (n, 7, 3) [mN/mm]."""
-    F, projection, weights = kinematics(X, _tissue_only(X, x, bulk), table)
-    P, _ = point_stress(bulk.law, F, J_bar, _pressure(bulk.law, F, J_bar, projection))
+    """Internal minus gravity forces per depth on the nodes: X, x (n, a, 3) [mm], J_bar (n, n_qp) -> (n, a, 3) [mN/mm]."""
+    F, smoothing, weights = kinematics(X, x, bulk, table)
+    P, _ = point_stress(bulk.law, F, J_bar, smoothing.smooth(_mean_stress(bulk.law, F, J_bar)))
     weights = weights * bulk.fraction[:, None]
     B = slopes(X, table)
     internal = jnp.einsum("eq,eqiJ,eqaJ->eai", weights, P[..., : B.shape[-1]], B)
@@ -128,21 +181,20 @@ def bulk_force(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, tab
     return internal - jnp.einsum("eq,qa->ea", mass, table.value)[..., None] * gravity
 
 
-def _pressure(law: EnergyMaterial, F: Array, J_bar: Array, projection: Array) -> Array:
-    """Projection of the mean stress (n, n_qp) [kPa]."""
-    _, mean_stress = point_stress(law, F, J_bar, jnp.zeros_like(J_bar))
-    return jnp.einsum("eqr,er->eq", projection, mean_stress)
+def _mean_stress(law: EnergyMaterial, F: Array, J_bar: Array) -> Array:
+    """Mean stress conjugate to J_bar (n, n_qp) [kPa]."""
+    return point_stress(law, F, J_bar, jnp.zeros_like(J_bar))[1]
 
 
 class Linearised(NamedTuple):
     """First order of ``bulk_force`` about (u, J_bar), u the positions x or X, with J_bar then tied to them again."""
 
     stiffness: Array
-    """Change of force by du, J_bar along with it (n, 21, 21) [mN/mm^2]."""
+    """Change of force by du, J_bar along with it (n, 3a, 3a) [mN/mm^2]."""
     force_rate: Array
-    """Change of force by J_bar at each quadrature point (n, n_qp, 21) [mN/mm]."""
+    """Change of force by J_bar at each quadrature point (n, n_qp, 3a) [mN/mm]."""
     volume_rate: Array
-    """Change of J_bar by du (n, n_qp, 21) [1/mm]; 0 in open elements."""
+    """Change of J_bar by du (n, n_qp, 3a) [1/mm]; 0 in open elements."""
 
 
 class _Rates(NamedTuple):
@@ -150,31 +202,32 @@ class _Rates(NamedTuple):
 
     F: Array
     B: Array
-    projection: Array
+    smoothing: Smoothing
     weights: Array
     """(n, n_qp, 1) [mm^2], 0 in open elements."""
     P: Array
-    excess: Array
-    """Mean stress minus its projection (n, n_qp) [kPa]."""
+    mean: Array
+    """Mean stress (n, n_qp) [kPa]."""
     P_by_F: Array
     mean_by_F: Array
     volume_by_x: Array
-    """Change of J_bar by dx (n, n_qp, 21) [1/mm]."""
+    """Change of J_bar by dx (n, n_qp, 3a) [1/mm]."""
     force_by_volume: Array
-    """Change of force by J_bar (n, n_qp, 21) [mN/mm]."""
+    """Change of force by J_bar (n, n_qp, 3a) [mN/mm]."""
 
 
 def _rates(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> _Rates:
-    F, projection, weights = kinematics(X, _tissue_only(X, x, bulk), table)
+    F, smoothing, weights = kinematics(X, x, bulk, table)
     B = slopes(X, table)
     axes = B.shape[-1]
-    pressure = _pressure(bulk.law, F, J_bar, projection)
-    P, mean = point_stress(bulk.law, F, J_bar, pressure)
+    mean = _mean_stress(bulk.law, F, J_bar)
+    pressure = smoothing.smooth(mean)
+    P, _ = point_stress(bulk.law, F, J_bar, pressure)
     by_F, by_J = _point_derivatives(bulk.law, F, J_bar, pressure, axes)
     weights = (weights * bulk.fraction[:, None])[..., None]
-    volume_by_x = jnp.einsum("eqr,erm->eqm", projection, _to_nodes(B, cofactor(F)[..., :axes]))
+    volume_by_x = smoothing.smooth(_to_nodes(B, cofactor(F)[..., :axes]))
     force_by_volume = weights * (_to_nodes(B, by_J[0][..., :axes]) + by_J[1][..., None] * volume_by_x)
-    return _Rates(F, B, projection, weights, P[..., :axes], mean - pressure, *by_F, volume_by_x, force_by_volume)
+    return _Rates(F, B, smoothing, weights, P[..., :axes], mean, *by_F, volume_by_x, force_by_volume)
 
 
 def _to_nodes(B: Array, P: Array) -> Array:
@@ -219,10 +272,15 @@ def linearised_reference(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: 
     A = -jnp.einsum("eqiJmL,eqmk->eqiJkL", r.P_by_F, r.F)
     A += jnp.einsum("eqiJ,Lk->eqiJkL", r.P, along) - jnp.einsum("eqiL,Jk->eqiJkL", r.P, along)
     K = _sandwich(r.B, r.weights[..., None, None, None] * A)
-    volume_rate = -jnp.einsum("eqr,er,erm->eqm", r.projection, dilation(X, x, bulk, table), swept)
+    J = det(r.F)
+    as_it_is, _ = r.smoothing.split(swept)
+    mean_only = r.smoothing.split(r.smoothing.projected(J)[..., None] * swept)[1]
+    volume_rate = -(J[..., None] * as_it_is + mean_only)
     K += _outer(r.force_by_volume, volume_rate)
-    mean_rate = r.excess[..., None] * swept - _to_nodes(r.B, jnp.einsum("eqiJ,eqik->eqkJ", r.mean_by_F, r.F))
-    K += _outer(r.weights * r.volume_by_x, mean_rate)
+    excess = r.mean - r.smoothing.projected(r.mean)
+    by_projection = r.smoothing.split(_to_nodes(r.B, cofactor(r.F)[..., :axes]))[1]
+    K += _outer(r.weights * by_projection, excess[..., None] * swept)
+    K -= _outer(r.weights * r.volume_by_x, _to_nodes(r.B, jnp.einsum("eqiJ,eqik->eqkJ", r.mean_by_F, r.F)))
     weight = (table.value[:, :, None] * gravity).reshape(len(table.value), -1)
     K -= _outer(r.weights * bulk.density[..., None] * weight, swept)
     return Linearised(K, r.force_by_volume, _where_tissue(bulk, volume_rate))
@@ -233,7 +291,7 @@ def _where_tissue(bulk: Bulk, rate: Array) -> Array:
 
 
 def tied_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
-    """``bulk_force`` at J_bar = J_bar(x), the gradient of the energy: X, x (n, 7, 3) [mm] -> (n, 7, 3) [mN/mm]."""
+    """``bulk_force`` at J_bar = J_bar(x), the gradient of the energy: X, x (n, a, 3) [mm] -> (n, a, 3) [mN/mm]."""
     return bulk_force(X, x, dilation(X, x, bulk, table), bulk, gravity, table)
 
 

@@ -15,6 +15,7 @@ from ..core.linear import LinearSolver, linear_solver
 from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body
 from .elements import Linearised
+from .space import Space
 
 SMALLEST_STEP = 0.25  # of a load; below that, going downhill is cheaper
 REUSE_BELOW = 0.05  # a step that brings the residual below this share earns its tangent another one
@@ -203,7 +204,7 @@ def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
     turned = body.inside_out(X, x)
     if len(turned):
         at = x[body.frame.space.element_nodes[turned[0], :3]].mean(axis=0)
-        where = f"({at[0]:.1f}, {at[1]:.1f}) mm of the section"
+        where = "({}) mm".format(", ".join(f"{value:.1f}" for value in at))
         raise ConvergenceError(
             f"{len(turned)} elements turn inside out, the first at {where}: tissue there would have to bear more than it can.",
             [f"{len(turned)} elements inside out, the first at {where}"],
@@ -254,8 +255,8 @@ class _Problem:
 
     @property
     def in_plane(self) -> bool:
-        """Nothing pulls along the section's normal."""
-        return bool(self.full[2] == 0.0)
+        """Nothing pulls along a section's normal."""
+        return isinstance(self.body.frame.space, Space) and bool(self.full[2] == 0.0)
 
     @cached_property
     def free(self) -> np.ndarray:

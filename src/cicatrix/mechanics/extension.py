@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.sparse.linalg import splu
 
-from .body import Frame, section_areas
+from .body import Frame, measures
 from .elements import slopes
 from .pattern import Pattern
 from .space import Space
@@ -50,7 +50,7 @@ def _linear_stiffness(space: Space, X: np.ndarray) -> np.ndarray:
     """Element matrices of an elastic filling with both Lame constants 1 (n_elements, 21, 21)."""
     grad = np.asarray(slopes(X[space.element_nodes], space.table))
     grad = np.pad(grad, [(0, 0)] * 3 + [(0, 3 - grad.shape[-1])])  # nothing changes along a section's normal
-    weights = section_areas(space, X)
+    weights = measures(space, X)
     products = np.einsum("eq,eqaJ,eqbK->eaJbK", weights, grad, grad)
     laplacian = np.einsum("eaJbJ->eab", products)[:, :, None, :, None] * np.eye(3)[:, None, :]
     return (laplacian + products + products.transpose(0, 1, 4, 3, 2)).reshape(len(grad), grad.shape[2] * 3, -1)

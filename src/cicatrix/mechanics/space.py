@@ -1,4 +1,4 @@
-"""Finite-element space of a plane section: P2 triangles with a cubic bubble, three displacement components."""
+"""Finite-element spaces: nodes, elements and shape functions of a plane section and of a solid."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from functools import cached_property
 import numpy as np
 import skfem
 from skfem.quadrature import get_quadrature
+
+from ..geometry.tetrahedra import boundary
 
 
 @dataclass(frozen=True)
@@ -22,20 +24,27 @@ class Table:
     """(n_qp,) [1]"""
     points: np.ndarray
     """(n_qp, n_local_axes) local coordinates [1]"""
+    volume: np.ndarray
+    """(n_qp, n_volume) what the volume ratio of an element is made of [1]"""
 
 
-def tabulate(element: skfem.Element, local: np.ndarray, weight: np.ndarray) -> Table:
-    """Evaluate the element's shape functions at local points (n_local_axes, n_qp)."""
+def tabulate(element: skfem.Element, local: np.ndarray, weight: np.ndarray, *, linear_volume: bool = False) -> Table:
+    """Evaluate the element's shape functions at local points (n_local_axes, n_qp).
+
+    The volume ratio of an element is constant, or linear.
+    """
     n_shape = len(element.doflocs)
     both = [element.lbasis(local, i) for i in range(n_shape)]
     value = np.stack([np.broadcast_to(v, weight.shape) for v, _ in both], axis=-1)
     gradient = np.stack([np.broadcast_to(g, (local.shape[0], weight.size)).T for _, g in both], axis=1)
-    return Table(value, gradient, weight, local.T)
+    one = np.ones((weight.size, 1))
+    volume = np.hstack([one, local.T - 1.0 / 3.0]) if linear_volume else one
+    return Table(value, gradient, weight, local.T, volume)
 
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Nodes, elements and shape functions on a straight-sided triangle mesh.
+    """Plane section: P2 triangles with a cubic bubble on a straight-sided mesh, three displacement components.
 
     Nodes are coefficients: vertices, then edge midpoints, then one bubble per triangle (hierarchical: 0 where the
     geometry is straight). Positions and displacements are (n_nodes, 3) arrays over the same nodes; the third
@@ -51,6 +60,11 @@ class Space:
 
     mesh: skfem.MeshTri
     quadrature_order: int = 5
+
+    @property
+    def kind(self) -> tuple:
+        """Equal for spaces with equal tables."""
+        return "section", self.quadrature_order
 
     @cached_property
     def _dofs(self) -> skfem.Dofs:
@@ -74,10 +88,11 @@ class Space:
     @cached_property
     def table(self) -> Table:
         """Shape functions of the triangle at its quadrature points."""
-        return tabulate(skfem.ElementTriP2B(), *get_quadrature(skfem.MeshTri.elem, self.quadrature_order))
+        rule = get_quadrature(skfem.MeshTri.elem, self.quadrature_order)
+        return tabulate(skfem.ElementTriP2B(), *rule, linear_volume=True)
 
     @cached_property
-    def edge_table(self) -> Table:
+    def facet_table(self) -> Table:
         """Shape functions of a boundary edge (vertex, vertex, midpoint) at its quadrature points."""
         return tabulate(skfem.ElementLineP2(), *get_quadrature(skfem.MeshLine.elem, self.quadrature_order))
 
@@ -89,7 +104,7 @@ class Space:
         out[self._dofs.facet_dofs[0], :2] = self.mesh.p[:, self.mesh.facets].mean(axis=1).T
         return out
 
-    def edge_nodes(self, facets: np.ndarray) -> np.ndarray:
+    def facet_nodes(self, facets: np.ndarray) -> np.ndarray:
         """Nodes of mesh edges: facet numbers (n,) -> (n, 3) vertex, vertex, midpoint."""
         ends = self._dofs.nodal_dofs[0][self.mesh.facets[:, facets]]
         return np.column_stack([ends.T, self._dofs.facet_dofs[0][facets]])
@@ -98,3 +113,61 @@ class Space:
     def bubbles(self) -> np.ndarray:
         """Bubble node of each triangle (n_elements,)."""
         return self._dofs.interior_dofs[0]
+
+
+@dataclass(frozen=True, eq=False)
+class SolidSpace:
+    """Solid: P2 tetrahedra, straight or curved (the geometry is quadratic too).
+
+    With the four points of the default rule this is the plain quadratic element that other codes have, until tissue becomes
+    so incompressible that it would lock: see :func:`.elements.kept_share` and docs/decisions/0013.
+
+    Parameters
+    ----------
+    positions : (n_nodes, 3) array [mm]
+        Where the mesh has its nodes.
+    element_nodes : (n_elements, 10) int array
+        Corners, then the middles of the edges 01, 12, 02, 03, 13, 23 (the order of VTK); corner 3 lies on the side of
+        the face 012 that its right-handed normal points to.
+    quadrature_order : int
+        Polynomial degree the rule in each tetrahedron is exact for.
+    """
+
+    positions: np.ndarray
+    element_nodes: np.ndarray
+    quadrature_order: int = 2
+
+    @property
+    def kind(self) -> tuple:
+        """Equal for spaces with equal tables."""
+        return "solid", self.quadrature_order
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.positions)
+
+    @property
+    def n_elements(self) -> int:
+        """Number of tetrahedra."""
+        return len(self.element_nodes)
+
+    @cached_property
+    def table(self) -> Table:
+        """Shape functions of the tetrahedron at its quadrature points."""
+        rule = get_quadrature(skfem.MeshTet.elem, self.quadrature_order)
+        return tabulate(skfem.ElementTetP2(), *rule)
+
+    @cached_property
+    def facet_table(self) -> Table:
+        """Shape functions of a boundary face (corners, then the middles of the edges 01, 12, 02)."""
+        return tabulate(skfem.ElementTriP2(), *get_quadrature(skfem.MeshTri.elem, self.quadrature_order))
+
+    @cached_property
+    def boundary(self) -> np.ndarray:
+        """Nodes of the boundary faces (n_faces, 6)."""
+        return boundary(self.element_nodes)
+
+    def facet_nodes(self, facets: np.ndarray) -> np.ndarray:
+        """Nodes of boundary faces by their numbers (n,) -> (n, 6)."""
+        return self.boundary[facets]

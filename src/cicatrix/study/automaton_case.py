@@ -99,6 +99,11 @@ class AutomatonCase(Table):
     cue: CueTable = CueTable()
     run: Run = Run()
 
+    @property
+    def seed(self) -> int:
+        """Seed of the random numbers."""
+        return self.run.seed
+
     @model_validator(mode="after")
     def _shape_fits_lattice(self) -> AutomatonCase:
         fitting = {"hex": "disc", "fcc": "ball"}[self.lattice.type]

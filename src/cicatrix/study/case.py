@@ -241,6 +241,11 @@ class LumpectomyCase(Table):
     solver: Solver = Solver()
     run: Run = Run()
 
+    @property
+    def seed(self) -> int:
+        """Seed of the random numbers."""
+        return self.run.seed
+
     @model_validator(mode="after")
     def _cycle_holds_a_step(self) -> LumpectomyCase:
         step, cycle = self.healing.days_per_step, self.coupling.days_per_cycle

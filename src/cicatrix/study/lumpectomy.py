@@ -240,7 +240,7 @@ def _filled(
     if not len(wall):
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
     space = Space(mesh)
-    frame = Frame(space, mesh.boundaries["skin"], np.unique(space.edge_nodes(wall)))
+    frame = Frame(space, mesh.boundaries["skin"], np.unique(space.facet_nodes(wall)))
     new, skin = case.tissue.scar, case.tissue.skin
     scar = Tissue(*moduli_from_young(new.E_kPa, new.nu), density_kg_mm3(new.density_kg_m3))
     natural = np.broadcast_to(np.eye(3), (*tissue.mu.shape, 3, 3))
@@ -341,7 +341,7 @@ def last_cycle(case: LumpectomyCase) -> int:
 
 def _ordered_outline(space: Space) -> np.ndarray:
     """Boundary nodes of the section in order around it (n,): vertex, midpoint, vertex, ..."""
-    edges = space.edge_nodes(space.mesh.boundary_facets())
+    edges = space.facet_nodes(space.mesh.boundary_facets())
     following: dict[int, list[tuple[int, int]]] = {}
     for a, b, middle in edges.tolist():
         following.setdefault(a, []).append((b, middle))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from .automaton_case import AutomatonCase
 from .case import LumpectomyCase, Table
 
 NEARLY_INCOMPRESSIBLE = "nearly incompressible soft tissue, 0.49 to 0.499; Garbey et al., Eq. (2)"
@@ -63,20 +62,20 @@ def keys(table: Table, prefix: str = "") -> Iterator[str]:
             yield prefix + name
 
 
-def sources_of(case: LumpectomyCase | AutomatonCase) -> dict[str, str]:
+def sources_of(case: Table) -> dict[str, str]:
     """Say for every sourced key where its value comes from: the default's source, or the case itself.
 
     Parameters
     ----------
-    case : LumpectomyCase or AutomatonCase
-        The case as run; the defaults of an automaton alone are examples and have no source.
+    case : Table
+        The case as run; the defaults of an automaton or a body alone are examples and have no source.
 
     Returns
     -------
     dict of str to str
         Source by dotted key, in the order of :data:`SOURCES`.
     """
-    if isinstance(case, AutomatonCase):
+    if not isinstance(case, LumpectomyCase):
         return {}
     default = LumpectomyCase(image=case.image)
     same = {key: value_at(case, key) == value_at(default, key) for key in SOURCES}

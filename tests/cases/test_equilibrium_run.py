@@ -1,0 +1,175 @@
+"""Cases of kind "equilibrium": a user's own mesh to its loaded and its unloaded shape, and what is refused."""
+
+import meshio
+import numpy as np
+import pytest
+import skfem
+
+import cicatrix
+from cicatrix.cli.main import main
+from cicatrix.core.errors import InputError
+from cicatrix.geometry.tetrahedra import oriented, with_middles
+from cicatrix.io.cases import load_case
+
+CASE = """
+kind = "equilibrium"
+[body]
+mesh = "body.vtu"
+[loads]
+gravity_m_s2 = [0.0, -9.81, 0.0]
+"""
+
+
+def cube(n=2, side=20.0):
+    mesh = skfem.MeshTet.init_tensor(*[np.linspace(0, side, n + 1)] * 3)
+    return mesh.p.T.copy(), oriented(mesh.p.T, mesh.t.T)
+
+
+def write(folder, points, tetrahedra, *, without=(), name="body.vtu", **changed):
+    """A soft cube held at z = 0; ``changed`` replaces data."""
+    n = len(tetrahedra)
+    point_data = {"fixed": changed.pop("fixed", (points[:, 2] < 1e-9).astype(float))}
+    cell_data = {
+        "youngs_modulus_kPa": np.full(n, 3.0),
+        "poisson_ratio": np.full(n, 0.49),
+        "density_kg_m3": np.full(n, 1e3),
+    }
+    cell_data |= changed
+    kind = {4: "tetra", 10: "tetra10"}[tetrahedra.shape[1]]
+    mesh = meshio.Mesh(
+        points,
+        [(kind, tetrahedra)],
+        point_data={key: value for key, value in point_data.items() if key not in without},
+        cell_data={key: [value] for key, value in cell_data.items() if key not in without},
+    )
+    mesh.write(folder / name)
+    (folder / "case.toml").write_text(CASE)
+    return folder / "case.toml"
+
+
+def displacement(folder):
+    (path,) = (folder / "fields").glob("*.vtu")
+    return meshio.read(path)
+
+
+def test_down_and_back_up_again(tmp_path):
+    """Loaded, written, and read again as the shape to unload: the cube it began with, on the user's own nodes."""
+    points, tetrahedra = cube()
+    points, tetrahedra = points[::-1].copy(), len(points) - 1 - tetrahedra  # an order of the user's
+    case = load_case(write(tmp_path, points, tetrahedra))
+    down = cicatrix.simulate(case, tmp_path / "down")
+    mesh = displacement(tmp_path / "down")
+    np.testing.assert_allclose(mesh.points, points)
+    np.testing.assert_array_equal(mesh.cells[0].data, tetrahedra)
+    moved = mesh.point_data["displacement"]
+    assert (moved[points[:, 2] < 1e-9] == 0).all()
+    assert down.outcome["max_displacement_mm"].value == pytest.approx(np.linalg.norm(moved, axis=1).max())
+    assert 0.1 < down.outcome["max_displacement_mm"].value < 10.0
+    assert down.outcome["mass_g"].value == pytest.approx(8.0)
+    assert down.outcome["newton_iterations"].value == len(down.history["iteration"])
+    assert down.history["residual_mN"][-1] < 1e-8 * 8e-3 * 9810
+    assert (tmp_path / "down" / "figures" / "shape.png").stat().st_size > 10_000
+
+    quadratic = with_middles(points, tetrahedra)
+    case = load_case(write(tmp_path, *quadratic), ["solver.inverse=true", "loads.gravity_m_s2=[0.0, 9.81, 0.0]"])
+    up = cicatrix.simulate(case, tmp_path / "up")
+    assert up.outcome["n_dofs"].value == down.outcome["n_dofs"].value
+    unloaded = quadratic[0] + displacement(tmp_path / "up").point_data["displacement"]
+    again = write(tmp_path, unloaded, quadratic[1], fixed=(quadratic[0][:, 2] < 1e-9).astype(float))
+    cicatrix.simulate(load_case(again, ["loads.gravity_m_s2=[0.0, 9.81, 0.0]"]), tmp_path / "again")
+    loaded = unloaded + displacement(tmp_path / "again").point_data["displacement"]
+    np.testing.assert_allclose(loaded, quadratic[0], atol=1e-8)
+
+
+def test_units_of_the_mesh(tmp_path):
+    """The same body in metres; a body that is told in the wrong unit is doubted."""
+    points, tetrahedra = cube()
+    in_mm = cicatrix.simulate(load_case(write(tmp_path, points, tetrahedra)))
+    in_m = cicatrix.simulate(load_case(write(tmp_path, 1e-3 * points, tetrahedra), ["body.mesh_unit=m"]))
+    assert in_m.outcome["max_displacement_mm"].value == pytest.approx(in_mm.outcome["max_displacement_mm"].value)
+    assert in_mm.outcome["largest_extent_mm"].note == ""
+    small = cicatrix.simulate(load_case(write(tmp_path, 1e-3 * points, tetrahedra)))
+    assert "mesh_unit" in small.outcome["largest_extent_mm"].note
+
+
+def damaged(fault):
+    """(points, tetrahedra, data) with one fault."""
+    points, tetrahedra = cube()
+    n = len(tetrahedra)
+    if fault == "inverted":
+        tetrahedra[5] = tetrahedra[5][[0, 2, 1, 3]]
+    if fault == "twice":
+        tetrahedra = np.vstack([tetrahedra, tetrahedra[7][[1, 2, 0, 3]]])
+    if fault == "unused":
+        points = np.vstack([points, [[1.0, 2.0, 3.0]]])
+    if fault == "nan":
+        points[3, 1] = np.nan
+    if fault == "pieces":
+        points, tetrahedra = np.vstack([points, points + 50.0]), np.vstack([tetrahedra, tetrahedra + len(points)])
+    if fault == "edge":  # two tetrahedra that share an edge only
+        points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], float)
+        tetrahedra = np.array([[0, 2, 3, 1], [0, 4, 5, 1]])
+    data = {
+        "not fixed": {"fixed": np.zeros(len(points))},
+        "half fixed": {"fixed": np.full(len(points), 0.5)},
+        "nu": {"poisson_ratio": np.full(n, 0.5)},
+        "E": {"youngs_modulus_kPa": np.where(np.arange(n) == 4, -1.0, 1.0)},
+        "E nan": {"youngs_modulus_kPa": np.where(np.arange(n) == 4, np.nan, 1.0)},
+        "density": {"density_kg_m3": np.full(n, -1.0)},
+    }
+    return points, tetrahedra, data.get(fault, {})
+
+
+@pytest.mark.parametrize(
+    ("fault", "sentence"),
+    [
+        (
+            "inverted",
+            r"1 tetrahedra are inverted or flat, the first is number 5 at \(.*\) mm: all must have positive volume",
+        ),
+        ("twice", "1 tetrahedra are there more than once, the first is number 7"),
+        ("unused", "1 nodes belong to no tetrahedron, the first is node 27"),
+        ("nan", "node 3 has a coordinate that is not a number"),
+        ("pieces", "the body falls into 2 pieces"),
+        ("edge", "the surface meets itself along an edge"),
+        ("not fixed", "no node is fixed"),
+        ("half fixed", "`fixed` must be 0 or 1"),
+        ("nu", "poisson_ratio must be at least 0 and below 0.5; got 0.5 at cell 0"),
+        ("E", "youngs_modulus_kPa must be above 0; got -1 at cell 4"),
+        ("E nan", "youngs_modulus_kPa must be a finite number; got nan at cell 4"),
+        ("density", "density_kg_m3 must be at least 0; got -1"),
+    ],
+)
+def test_faults_of_a_mesh_are_told(fault, sentence, tmp_path):
+    points, tetrahedra, data = damaged(fault)
+    case = load_case(write(tmp_path, points, tetrahedra, **data))
+    with pytest.raises(InputError, match=f"body.vtu: .*{sentence}"):
+        cicatrix.simulate(case, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("name", ["fixed", "youngs_modulus_kPa", "poisson_ratio", "density_kg_m3"])
+def test_missing_data_are_named(name, tmp_path):
+    case = load_case(write(tmp_path, *cube(), without=(name,)))
+    with pytest.raises(InputError, match=f"data `{name}` .*missing"):
+        cicatrix.simulate(case)
+
+
+def test_a_file_that_is_no_mesh_is_told(tmp_path, capsys):
+    (tmp_path / "case.toml").write_text(CASE)
+    (tmp_path / "body.vtu").write_text("this is no mesh")
+    assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "run")]) == 2
+    assert "body.vtu cannot be read as a mesh" in capsys.readouterr().err
+    meshio.Mesh(np.eye(3), [("triangle", [[0, 1, 2]])]).write(tmp_path / "body.vtu")
+    assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "run")]) == 2
+    assert "must be tetrahedra of 4 nodes, or of 10; the file has triangle" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_body_too_soft_for_its_weight_fails_with_its_history(tmp_path):
+    points, tetrahedra = cube()
+    case = load_case(write(tmp_path, points, tetrahedra, youngs_modulus_kPa=np.full(len(tetrahedra), 0.002)))
+    with pytest.raises(cicatrix.core.errors.ConvergenceError) as caught:
+        cicatrix.simulate(case, tmp_path / "run")
+    assert caught.value.history
+    assert '"failed"' in (tmp_path / "run" / "manifest.json").read_text()
