@@ -11,6 +11,7 @@ import numpy as np
 from test_automaton_core import random_case
 
 import cicatrix
+from cicatrix.core.errors import InvariantError
 from cicatrix.core.ranks import world
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton, AutomatonRules, NativeCore
@@ -85,19 +86,45 @@ def all_digests():
 
 
 class Signaller(Progress):
-    """Sends the first rank what Ctrl-C does, at a step."""
+    """Sends the first rank what Ctrl-C does: when a stage begins, or at a step."""
+
+    def __init__(self, moment):
+        super().__init__()
+        self.moment = moment
+
+    def begin(self, name):
+        self._at(name)
 
     def update(self, fraction, words=""):
-        if words == "step 12":
+        self._at(words)
+
+    def _at(self, words):
+        if words == self.moment:
             os.kill(os.getpid(), signal.SIGINT)
 
 
-def interrupted(path, out):
+def interrupted(path, out, moment):
     try:
-        cicatrix.simulate(cicatrix.load_case(path), Path(out), progress=Signaller())
+        cicatrix.simulate(cicatrix.load_case(path), Path(out), progress=Signaller(moment))
     except KeyboardInterrupt:
         return "interrupted"
     return "finished"
+
+
+def all_fail(path, out):
+    """Cells are lost in step 5, which all ranks see."""
+    advance = NativeCore.advance
+
+    def losing(self, *arguments):
+        if self.step == 5:
+            raise InvariantError("cells were lost")
+        return advance(self, *arguments)
+
+    NativeCore.advance = losing
+    try:
+        cicatrix.simulate(cicatrix.load_case(path), Path(out))
+    except InvariantError as error:
+        return str(error)
 
 
 class Failing:
@@ -121,6 +148,8 @@ def one_fails():
 
 
 if __name__ == "__main__":
-    told = {"digests": all_digests, "interrupted": interrupted, "one-fails": one_fails}[sys.argv[1]](*sys.argv[2:])
+    told = {"digests": all_digests, "interrupted": interrupted, "one-fails": one_fails, "all-fail": all_fail}[
+        sys.argv[1]
+    ](*sys.argv[2:])
     if world().is_first:
         print(json.dumps(told))

@@ -95,11 +95,26 @@ def test_a_run_on_three_ranks_is_the_run_of_one(case_file, tmp_path):
 @needs_mpi
 def test_a_run_stopped_on_three_ranks_goes_on_alone(case_file, tmp_path):
     straight = cicatrix.simulate(load_case(case_file), tmp_path / "one")
-    assert worker(3, "interrupted", case_file, tmp_path / "three") == "interrupted"
+    assert worker(3, "interrupted", case_file, tmp_path / "three", "step 12") == "interrupted"
     resumed = cicatrix.simulate(load_case(case_file), tmp_path / "three", resume=True)
     assert any("Resumed after cycle 12" in note for note in resumed.manifest["notes"])
     assert (tmp_path / "three" / "history.csv").read_bytes() == (tmp_path / "one" / "history.csv").read_bytes()
     assert resumed.outcome["occupancy_sha256"] == straight.outcome["occupancy_sha256"]
+
+
+@needs_mpi
+@pytest.mark.parametrize(("moment", "end"), [("lattice", "interrupted"), ("outcome", "finished")])
+def test_ranks_end_together_whenever_they_are_interrupted(moment, end, case_file, tmp_path):
+    """Before the first step the run is kept at step 0; when all steps are done it is finished."""
+    assert worker(3, "interrupted", case_file, tmp_path / "run", moment) == end
+    assert f'"{end}"' in (tmp_path / "run" / "manifest.json").read_text()
+
+
+@needs_mpi
+@needs_native
+def test_what_all_ranks_see_fail_fails_alike(case_file, tmp_path):
+    assert worker(3, "all-fail", case_file, tmp_path / "run") == "cells were lost"
+    assert '"failed"' in (tmp_path / "run" / "manifest.json").read_text()
 
 
 @needs_mpi
