@@ -88,11 +88,10 @@ def _speed(ax: Axes, step: np.ndarray, radius: np.ndarray) -> None:
     reached = at < step[-1]
     if reached.sum() > 1:
         when, where = at[reached], marks[reached]
-        ax.plot(
-            0.5 * (where[1:] + where[:-1]), -np.diff(where) / np.diff(when) * 1e3, "o-", color="#d55e00", markersize=4
-        )
-    ax.set_xlabel("equivalent radius [mm]")
+        speed = -np.diff(where) / np.diff(when) * 1e3
+        ax.plot(0.5 * (where[1:] + where[:-1]), speed, "o-", color="#d55e00", markersize=4)
+        ax.set_ylim(0.0, 1.1 * speed.max())
+    ax.set_xlabel("equivalent radius [mm], closing to the right")
     ax.set_ylabel("front speed [um per step]")
-    ax.set_ylim(bottom=0.0)
     ax.invert_xaxis()
     ax.grid(alpha=0.3)
