@@ -117,11 +117,14 @@ class Motility {
         int64_t n_bulk = 0;
         mixed_.resize(s_.kernels.mixed(Ids{core.data(), core.size()}, u, G::bulk, mixed_.data(), &n_bulk));
         s_.work.mixed_sites = kLanes * static_cast<int64_t>(mixed_.size());
-        std::vector<std::vector<int64_t>> parts(s_.most_pieces(), std::vector<int64_t>());
+        std::vector<std::vector<uint32_t>> parts(s_.most_pieces());  // a table that fits into the first cache
         s_.pieces(mixed_, [&](int i, Ids ids) {
-            parts[i].resize(size_t{G::bulk} + 1, 0);
-            for (size_t k = 0; k < ids.count; ++k)
-                for (int lane = 0; lane < kLanes; ++lane) ++parts[i][u[kLanes * size_t(ids.first[k]) + lane]];
+            parts[i].assign(size_t{G::bulk} + 1, 0);
+            uint32_t* n = parts[i].data();
+            for (size_t k = 0; k < ids.count; ++k) {
+                const uint16_t* here = u + kLanes * size_t(ids.first[k]);
+                for (int lane = 0; lane < kLanes; ++lane) ++n[here[lane]];
+            }
         });
         std::vector<int64_t> all(size_t{G::bulk} + 1, 0);
         for (const auto& part : parts)

@@ -11,7 +11,7 @@ import pytest
 
 STAND_IN = Path(__file__).parent / "stand_in.py"
 PHANTOM = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n'
-INTERRUPTED = "cicatrix: interrupted; the last checkpoint is kept, the same command with --resume goes on"
+INTERRUPTED = "cicatrix: interrupted; the same command with --resume goes on from the last checkpoint"
 
 
 @pytest.fixture

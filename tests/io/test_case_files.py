@@ -163,9 +163,9 @@ def test_every_fault_is_reported(write):
     ("text", "words"),
     [
         ("kind = = 1\nx = 1", "is not valid TOML: .*line 1, column 8"),
-        ("", 'kind is missing; a case file starts with kind = "lumpectomy" or "automaton"'),
-        ('kind = "mastectomy"', 'kind must be "lumpectomy" or "automaton"; got "mastectomy"'),
-        ("kind = 3", 'kind must be "lumpectomy" or "automaton"; got 3'),
+        ("", 'kind is missing; a case file starts with kind = "lumpectomy", "automaton" or "equilibrium"'),
+        ('kind = "mastectomy"', 'kind must be "lumpectomy", "automaton" or "equilibrium"; got "mastectomy"'),
+        ("kind = 3", 'kind must be "lumpectomy", "automaton" or "equilibrium"; got 3'),
     ],
 )
 def test_no_case_at_all(text, words, write):

@@ -31,8 +31,8 @@ def test_vtu_round_trip(tmp_path, n, dimension):
 
 
 def test_bad_triangles(tmp_path):
-    with pytest.raises(ValueError, match="triangles must be"):
-        write_vtu(tmp_path / "a.vtu", CORNERS, np.zeros((1, 4), int))
+    with pytest.raises(ValueError, match="cells must be"):
+        write_vtu(tmp_path / "a.vtu", CORNERS, np.zeros((1, 5), int))
     assert not list(tmp_path.iterdir())
 
 

@@ -239,7 +239,8 @@ def _show(value: Any) -> str:
 
 
 def _either(names: Mapping[str, Any]) -> str:
-    return " or ".join(f'"{name}"' for name in names)
+    *some, last = (f'"{name}"' for name in names)
+    return f"{', '.join(some)} or {last}"
 
 
 def _toml_value(text: str) -> Any:

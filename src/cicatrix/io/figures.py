@@ -4,12 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
@@ -24,7 +20,8 @@ TISSUE_COLOURS = {Label.FAT: "#f0e442", Label.GLAND: "#0072b2", Label.SKIN: "#cc
 
 def section_figure(planned: Plan, anatomy: Anatomy) -> Figure:
     """The section as imaged: picture, tissue classes, mesh, cavity."""
-    figure, axes = plt.subplots(1, 2, figsize=(12, 5.6), layout="constrained")
+    figure = Figure(figsize=(12, 5.6), layout="constrained")
+    axes = figure.subplots(1, 2)
     raster = planned.section.raster(anatomy.labels, min(*anatomy.labels.spacing_mm, 1.0))
     points = planned.section.to_patient(raster.points)
     picture = anatomy.image.sample(points) if anatomy.image is not None else anatomy.labels.sample(points, order=0)
@@ -57,7 +54,8 @@ def section_figure(planned: Plan, anatomy: Anatomy) -> Figure:
 
 def energy_figure(planned: Plan, panels: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
     """Strain energy on loaded shapes: title -> (positions (n_nodes, 3), energy (n_elements,) [kPa], shown (n_elements,))."""
-    figure, axes = plt.subplots(1, len(panels), figsize=(5 * len(panels), 5), layout="constrained", squeeze=False)
+    figure = Figure(figsize=(5 * len(panels), 5), layout="constrained")
+    axes = figure.subplots(1, len(panels), squeeze=False)
     top = max(np.percentile(W[shown], 98) for _, W, shown in panels.values())
     triangles = planned.intact.frame.space.element_nodes[:, :3]
     for ax, (title, (x, W, shown)) in zip(axes[0], panels.items()):
@@ -79,9 +77,8 @@ def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tupl
     """Energy along the resection edge before and after surgery (G Fig. 2): direction -> ((angle, W), (angle, W))."""
     columns = min(3, len(profiles))
     rows = -(-len(profiles) // columns)
-    figure, axes = plt.subplots(
-        rows, columns, figsize=(4.2 * columns, 3 * rows), layout="constrained", squeeze=False, sharex=True, sharey=True
-    )
+    figure = Figure(figsize=(4.2 * columns, 3 * rows), layout="constrained")
+    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     for ax, (name, (before, after)) in zip(axes.flat, profiles.items()):
         ax.plot(*before, color=BEFORE, label="before surgery")
         ax.plot(*after, color=HEALED, label="after surgery")
@@ -103,10 +100,11 @@ def closure_figure(
     planned: Plan, lattice: Lattice, fronts: Iterable[np.ndarray], rows: list[dict], title: str
 ) -> Figure:
     """The wound's outline at the end of each cycle (G Fig. 5), and closure over time."""
-    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 5), layout="constrained")
+    figure = Figure(figsize=(11, 5), layout="constrained")
+    left, right = figure.subplots(1, 2)
     positions = lattice.positions()
     fronts = list(fronts)
-    colours = plt.get_cmap("viridis")(np.linspace(0.0, 0.9, max(len(fronts), 2)))
+    colours = colormaps["viridis"](np.linspace(0.0, 0.9, max(len(fronts), 2)))
     for is_open, colour in zip(fronts, colours):
         if is_open.any():
             left.contour(
@@ -137,9 +135,10 @@ def outline_figure(
 
     cavity: position -> loaded positions whose resection edge is drawn.
     """
-    figure, axes = plt.subplots(1, len(shapes), figsize=(6 * len(shapes), 6), layout="constrained", squeeze=False)
+    figure = Figure(figsize=(6 * len(shapes), 6), layout="constrained")
+    axes = figure.subplots(1, len(shapes), squeeze=False)
     for ax, (position, named) in zip(axes[0], shapes.items()):
-        middle = plt.get_cmap("viridis")(np.linspace(0.1, 0.9, max(len(named) - 2, 1)))
+        middle = colormaps["viridis"](np.linspace(0.1, 0.9, max(len(named) - 2, 1)))
         for i, (name, x) in enumerate(named):
             first, last = i == 0, i == len(named) - 1
             colour = BEFORE if first else HEALED if last else middle[i - 1]

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
@@ -30,7 +27,8 @@ def closure_figure(
 
     fronts: occupancies (bool arrays of the lattice's shape) after ``steps``.
     """
-    figure, (left, middle, right) = plt.subplots(1, 3, figsize=(15, 4.8), layout="constrained")
+    figure = Figure(figsize=(15, 4.8), layout="constrained")
+    left, middle, right = figure.subplots(1, 3)
     _fronts(left, lattice, fillable, fronts, steps)
     radius = _radius(lattice, history["n_open"])
     middle.plot(history["step"], radius, color="#0072b2")
@@ -50,7 +48,7 @@ def _fronts(
     thin = (slice(None, None, stride),) * 2
     index = np.stack(np.meshgrid(*[np.arange(0, n, stride) for n in lattice.shape[-2:]], indexing="ij"), axis=-1)
     at = index @ lattice.basis_mm[-2:, :2]
-    norm, colours = Normalize(0, max(max(steps), 1)), plt.get_cmap("viridis")
+    norm, colours = Normalize(0, max(max(steps), 1)), colormaps["viridis"]
     for occupancy, step in zip(fronts, steps):
         is_open = (fillable[plane] & ~occupancy[plane])[thin]
         if is_open.any():
@@ -62,7 +60,7 @@ def _fronts(
     ax.set_xlabel("x [mm]")
     ax.set_ylabel("y [mm]")
     ax.set_title("fronts" if lattice.ndim == 2 else "fronts in the middle plane")
-    ax.figure.colorbar(plt.cm.ScalarMappable(norm, colours), ax=ax, label="step", shrink=0.8)
+    ax.figure.colorbar(ScalarMappable(norm, colours), ax=ax, label="step", shrink=0.8)
 
 
 def _zoom(ax: Axes, at: np.ndarray, is_open: np.ndarray) -> None:

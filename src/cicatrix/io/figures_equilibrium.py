@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib
-
-matplotlib.use("Agg")
-
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -18,7 +13,7 @@ CORNER_TRIANGLES = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]  # of a face wit
 
 def shape_figure(space: SolidSpace, start: np.ndarray, found: np.ndarray, inverse: bool) -> Figure:
     """The given and the found surface side by side, in the same frame: start, found (n_nodes, 3) [mm]."""
-    figure = plt.figure(figsize=(11, 5.2), layout="constrained")
+    figure = Figure(figsize=(11, 5.2), layout="constrained")
     triangles = space.boundary[:, CORNER_TRIANGLES].reshape(-1, 3)
     moved = np.linalg.norm(found - start, axis=1)
     both = np.vstack([start, found])
