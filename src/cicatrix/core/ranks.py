@@ -103,6 +103,9 @@ class MpiRanks(Ranks):
     @contextmanager
     def uninterrupted(self) -> Iterator[None]:  # noqa: D102
         self._asked.clear()
+        if threading.current_thread() is not threading.main_thread():  # where Python delivers no signals
+            yield
+            return
         kinds = (signal.SIGINT, signal.SIGTERM)
         before = [signal.signal(kind, lambda *_: self._asked.set()) for kind in kinds]
         try:
