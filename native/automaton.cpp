@@ -263,9 +263,7 @@ class Core final : public AutomatonCore {
     std::vector<Site> divide_by_site(int64_t& n_clamped) {
         std::vector<Site> parents;
         s_.words.clear();
-        for (int32_t id : layer_.own_tiles())
-            for (uint32_t left = layer_.bits()[id]; left; left &= left - 1)
-                s_.add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
+        for (int32_t id : layer_.own_tiles()) s_.add_words(id, layer_.bits()[id]);
         s_.words.draw(s_.kernels, s_.step, kLayerDivision, s_.key);
         for (size_t i = 0; i < s_.words.size(); ++i)
             if (s_.words.word(i) < limit_at(W_[s_.number(s_.words.site(i))], n_clamped, 1)) parents.push_back(s_.words.site(i));

@@ -1,8 +1,6 @@
 // Motility: diffuse the cells in integers, then keep the level that holds as many.
 #pragma once
 
-#include <numeric>
-#include <utility>
 #include <vector>
 
 #include "stage.hpp"
@@ -142,9 +140,7 @@ class Motility {
         s_.words.clear();
         for (int32_t id : s_.band.own_core()) {
             s_.set_cells(id, (takes_all ? above_[id] | equal_[id] : above_[id]) & s_.fill()[id]);
-            if (takes_all) continue;
-            for (uint32_t left = equal_[id] & s_.fill()[id]; left; left &= left - 1)
-                s_.add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(left));
+            if (!takes_all) s_.add_words(id, equal_[id] & s_.fill()[id]);
         }
         if (!takes_all) s_.settle_first(kMotilityTie, level.wanted);
     }

@@ -225,6 +225,10 @@ class Stage {
 
     void add_word(Site site) { words.add(site, number(site)); }
 
+    void add_words(int32_t id, uint32_t bits) {
+        for (; bits; bits &= bits - 1) add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(bits));
+    }
+
     // Fill the `wanted` sites in words, of all ranks, with the least (word, number).
     void settle_first(Phase phase, int64_t wanted) {
         struct Lot {

@@ -49,6 +49,17 @@ def body_on():
 
 
 @pytest.fixture(scope="session")
+def slope():
+    """Fourth-order difference at 0 of a function of one number, in steps h: (function, h) -> value or array."""
+
+    def make(function, h):
+        values = [function(k * h) for k in (-2, -1, 1, 2)]
+        return (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def half_disc():
     """A half-disc breast of fat (y < 0) on a flat chest, with a small tumour."""
 

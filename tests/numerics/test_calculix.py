@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import skfem
 
-from cicatrix.geometry.tetrahedra import oriented
+from cicatrix.geometry.tetrahedra import oriented, used_only
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.study.equilibrium import solid_body
 
@@ -24,8 +24,7 @@ def half_ellipsoid():
     """A breast of 256 tetrahedra on its base: (points, tetrahedra, is_fixed)."""
     ball = skfem.MeshTet.init_ball(2)
     upper = ball.t.T[ball.p[2][ball.t].mean(axis=0) > 0]
-    used, numbers = np.unique(upper, return_inverse=True)
-    points, tetrahedra = ball.p.T[used] * SEMI_AXES, numbers.reshape(upper.shape)
+    points, tetrahedra = used_only(ball.p.T * SEMI_AXES, upper)
     return points, oriented(points, tetrahedra), np.abs(points[:, 2]) < 1e-9
 
 

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -51,14 +52,16 @@ class AutomatonRun:
             core = self.ranks.agree(lambda: _core(self.case, automaton, state, self.ranks))
             self.folder.note(_how(self.ranks))
         with self.progress.stage("heal"):
-            n_open = self._heal(automaton, core, cue)
+            n_open = self._heal(automaton, core, cue, state.n_cells)
         with self.progress.stage("outcome"):
             return self._finish(automaton, core, n_open)
 
-    def _heal(self, automaton: Automaton, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float]) -> int:
-        """Do the steps, the other ranks with them; returns the sites that are open at the end."""
+    def _heal(
+        self, automaton: Automaton, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float], n_cells: int
+    ) -> int:
+        """Do the steps, the other ranks with them, from so many cells on; returns the sites that are open at the end."""
         n_fillable, n_open0 = int(np.count_nonzero(automaton.fillable)), int(np.count_nonzero(automaton.open0))
-        n_open = n_fillable - int(np.count_nonzero(core.occupancy()))
+        n_open = n_fillable - n_cells
         try:
             while n_open and core.step < self.case.run.max_steps and not self.ranks.is_interrupted:
                 self.ranks.share(True)
@@ -145,7 +148,7 @@ class AutomatonRun:
 def follow(case: AutomatonCase, ranks: Ranks) -> None:
     """Do the steps of the run that the first rank leads: what it asks of all, in its order."""
     automaton, cue = ranks.agree(lambda: _model(case))
-    state = ranks.share(ranks.agree(automaton.initial_state))
+    state: Any = ranks.share(ranks.agree(lambda: None))  # the first rank's
     core = ranks.agree(lambda: _core(case, automaton, state, ranks))
     try:
         while ranks.share(False):
