@@ -60,8 +60,14 @@ def automaton() -> list[Measurement]:
     return import_module(".bench_automaton", __package__).automaton()
 
 
+def mechanics() -> list[Measurement]:
+    """Equilibrium of a half-ellipsoid breast at three sizes, next to CalculiX."""
+    return import_module(".bench_mechanics", __package__).mechanics()
+
+
 BENCHMARKS: dict[str, Callable[[], list[Measurement]]] = {
     "checkpoint": checkpoint,
     "road2d": road2d,
     "automaton": automaton,
+    "mechanics": mechanics,
 }

@@ -1,119 +1,157 @@
-"""Sparse direct solvers behind one small protocol: MKL PARDISO where it is installed, SuperLU (SciPy) elsewhere."""
+"""Linear solves of a sequence of matrices that change little: one factor serves as preconditioner for many of them."""
 
 from __future__ import annotations
 
-import os
-import weakref
-from typing import Protocol
+from collections.abc import Mapping
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import splu
+from scipy.sparse.linalg import LinearOperator, gmres
 
-# the same bits in every run on one kind of machine: MKL may order its sums by threads and by where memory happens to lie, unless
-# told not to; COMPATIBLE would give them on every x86-64, at two to three times the time
-os.environ.setdefault("MKL_NUM_THREADS", "1")
-os.environ.setdefault("MKL_CBWR", "AUTO")
+from .factors import Factor, Factorisation, Kind, factorisation
 
-try:
-    import pypardiso
-except (ImportError, OSError):  # no wheel for this machine: SciPy serves
-    pypardiso = None
+MOST_STEPS = 60  # with a factor
+STALE_STEPS = 25  # a factor with which it took more is replaced before the next solve
+PROBE_STEPS = 10  # of Lanczos' method in search of a negative eigenvalue
 
 
-NEGATIVE_EIGENVALUES = 23  # number of the entry of PARDISO's iparm
+class LinearSolver:
+    """Solve K x = b to a tolerance by a Krylov method in double precision, preconditioned by a factor that is kept.
 
-
-class LinearSolver(Protocol):
-    """Factor a matrix of a fixed pattern again and again, and solve with the last factor."""
-
-    n_factorizations: int
-    n_negative: int | None
-    """Negative eigenvalues of the last symmetric matrix; None where the solver cannot tell."""
-
-    def factor(self, matrix: sp.csr_array) -> None:
-        """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
-        ...
-
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve with the last factor: (n,) -> (n,)."""
-        ...
-
-
-class SuperLU:
-    """SciPy's SuperLU: slower, everywhere."""
-
-    n_negative = None
-
-    def __init__(self) -> None:
-        self.n_factorizations = 0
-
-    def factor(self, matrix: sp.csr_array) -> None:
-        """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
-        _check_finite(matrix)
-        self.n_factorizations += 1
-        try:
-            self._lu = splu(sp.csc_array(matrix), permc_spec="COLAMD")
-        except RuntimeError as error:
-            raise FloatingPointError(str(error)) from error
-
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve with the last factor: (n,) -> (n,)."""
-        return self._lu.solve(rhs)
-
-
-class Pardiso:
-    """MKL PARDISO through pypardiso: the symbolic analysis of the pattern is done once.
+    A symmetric matrix is factorised as if it were definite (Cholesky, single precision) and solved with by conjugate
+    gradients; where it turns out to be indefinite it is factorised as such. The factor is kept as long as it serves: while
+    the iteration with it is short and meets no negative curvature. What is done depends on numbers alone, never on
+    time.
 
     Parameters
     ----------
     symmetric : bool
-        Factor the upper triangle as symmetric indefinite (half the work) instead of as a general matrix.
+        Whether all matrices are.
     """
 
     def __init__(self, symmetric: bool) -> None:
-        self.n_factorizations = 0
-        self.n_negative: int | None = None
         self._symmetric = symmetric
-        self._solver = pypardiso.PyPardisoSolver(mtype=-2 if symmetric else 11)
-        self._upper: tuple | None = None
-        weakref.finalize(self, self._solver.free_memory, everything=True)
+        self._methods: dict[Kind, Factorisation] = {}
+        self._factor: Factor | None = None
+        self._kind = Kind.DEFINITE if symmetric else Kind.GENERAL
+        self._is_stale = True
+        self.n_factorizations, self.n_steps = 0, 0
 
-    def factor(self, matrix: sp.csr_array) -> None:
-        """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
-        _check_finite(matrix)
-        self._matrix = self._upper_triangle(matrix) if self._symmetric else sp.csr_matrix(matrix)
-        self._solver.set_phase(12 if self.n_factorizations == 0 else 22)
-        self.n_factorizations += 1
+    def solve(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float) -> np.ndarray:
+        """Solve to |b - K x| <= tolerance |b|: (n,) -> (n,).
+
+        Raises
+        ------
+        FloatingPointError
+            Where the matrix is singular or not finite.
+        """
+        if not self._is_stale:
+            x = self._iterate(matrix, rhs, tolerance)
+            if x is not None:
+                return x
+        self.factor(matrix)
+        x = self._iterate(matrix, rhs, tolerance)
+        if x is None and self._kind == Kind.DEFINITE:  # single precision lets a matrix pass that is hardly definite
+            self._factorise(Kind.SYMMETRIC, matrix)
+            x = self._iterate(matrix, rhs, tolerance)
+        if x is None:
+            raise FloatingPointError("the matrix is singular to working precision")
+        return x
+
+    def factor(self, matrix: sp.bsr_array) -> None:
+        """Factorise this matrix; raises FloatingPointError where it is singular or not finite."""
+        if not self._symmetric:
+            return self._factorise(Kind.GENERAL, matrix)
         try:
-            self._solver._call_pardiso(self._matrix, np.zeros((matrix.shape[0], 1)))
-        except pypardiso.pardiso_wrapper.PyPardisoError as error:
-            raise FloatingPointError(str(error)) from error
-        if self._symmetric:
-            self.n_negative = int(self._solver.get_iparm(NEGATIVE_EIGENVALUES))
+            self._factorise(Kind.DEFINITE, matrix)
+        except FloatingPointError:
+            self._factorise(Kind.SYMMETRIC, matrix)
+        return None
 
-    def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """Solve with the last factor: (n,) -> (n,)."""
-        self._solver.set_phase(33)
-        return self._solver._call_pardiso(self._matrix, np.asfortranarray(rhs[:, None]))[:, 0]
+    def _factorise(self, kind: Kind, matrix: sp.bsr_array) -> None:
+        self._is_stale = True
+        if not np.isfinite(matrix.data).all():
+            raise FloatingPointError("the matrix holds numbers that are not finite")
+        if kind not in self._methods:
+            self._methods[kind] = factorisation(kind, matrix)
+        self.n_factorizations += 1
+        self._factor, self._kind = self._methods[kind].factor(matrix), kind
+        self._is_stale = False
 
-    def _upper_triangle(self, matrix: sp.csr_array) -> sp.csr_matrix:
-        if self._upper is None:
-            rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
-            keep = np.flatnonzero(matrix.indices >= rows)
-            indptr = np.concatenate([[0], np.cumsum(np.bincount(rows[keep], minlength=matrix.shape[0]))])
-            self._upper = keep, matrix.indices[keep], indptr
-        keep, indices, indptr = self._upper
-        return sp.csr_matrix((matrix.data[keep], indices, indptr), shape=matrix.shape)
+    def forget(self) -> None:
+        """Let the factor's memory go."""
+        self._methods, self._factor, self._is_stale = {}, None, True
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Everything that the next solve depends on, for ``restore``; empty before the first."""
+        if self._factor is None:
+            return {}
+        return {"values": self._factor.values, "kind": np.array(self._kind), "is_stale": np.array(self._is_stale)}
+
+    def restore(self, matrix: sp.bsr_array, kept: Mapping[str, np.ndarray]) -> None:
+        """Go on, to the bit, where another solver was; ``matrix`` is any of the pattern."""
+        self._kind, self._is_stale = Kind(int(kept["kind"])), bool(kept["is_stale"])
+        self._methods[self._kind] = factorisation(self._kind, matrix)
+        self._factor = self._methods[self._kind].again(kept["values"])
+
+    def _iterate(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float) -> np.ndarray | None:
+        """Solve with the factor that is there; None where it does not serve."""
+        if self._kind == Kind.DEFINITE:
+            x, steps = conjugate_gradients(matrix, rhs, self._factor.solve, tolerance, MOST_STEPS)
+        else:
+            x, steps = _gmres(matrix, rhs, self._factor.solve, tolerance)
+        self.n_steps += steps
+        self._is_stale = steps > STALE_STEPS
+        return x
+
+    def is_definite(self, matrix: sp.bsr_array) -> bool:
+        """Whether a symmetric matrix has no negative eigenvalue, as far as a short search from a random start sees.
+
+        With SuperLU's factor of that same matrix it sees nothing, and the answer is yes.
+        """
+        if self._kind != Kind.DEFINITE:
+            return not self._factor.n_negative
+        rhs = np.random.Generator(np.random.Philox(0)).standard_normal(matrix.shape[0])
+        x, steps = conjugate_gradients(matrix, rhs, self._factor.solve, 1e-6, PROBE_STEPS)
+        return x is not None or steps == PROBE_STEPS
 
 
-def linear_solver(symmetric: bool) -> LinearSolver:
-    """Return the best direct solver of this machine; CICATRIX_LINEAR_SOLVER = "scipy" asks for SuperLU."""
-    if pypardiso is not None and os.environ.get("CICATRIX_LINEAR_SOLVER") != "scipy":
-        return Pardiso(symmetric)
-    return SuperLU()  # pyright: ignore[reportReturnType]
+def conjugate_gradients(
+    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int
+) -> tuple[np.ndarray | None, int]:
+    """Preconditioned conjugate gradients: the solution, or None where it is not reached, and the steps taken.
+
+    It stops at a direction of negative curvature. The preconditioner may round (single precision), so directions are made
+    conjugate by the change of the residual (Polak & Ribiere; Notay 2000, flexible conjugate gradients).
+    """
+    x, r, p, rz = np.zeros_like(rhs), rhs.copy(), np.zeros_like(rhs), 1.0
+    before, goal = np.zeros_like(rhs), tolerance * float(np.linalg.norm(rhs))
+    for step in range(most_steps + 1):
+        if np.linalg.norm(r) <= goal:
+            return x, step
+        if step == most_steps:
+            break
+        z = precondition(r)
+        p = z + (z @ (r - before)) / rz * p if step else z
+        rz, before = float(z @ r), r.copy()
+        Kp = matrix @ p
+        curvature = float(p @ Kp)
+        if not curvature > 0.0:
+            return None, step
+        share = rz / curvature
+        x += share * p
+        r -= share * Kp
+    return None, most_steps
 
 
-def _check_finite(matrix: sp.csr_array) -> None:
-    if not np.isfinite(matrix.data).all():
-        raise FloatingPointError("the matrix holds numbers that are not finite")
+def _gmres(matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float) -> tuple[np.ndarray | None, int]:
+    """SciPy's generalised minimal residuals; the solution, or None where it is not reached, and the steps taken."""
+    steps = []
+    operator = LinearOperator(matrix.shape, matvec=precondition, dtype=float)  # pyright: ignore[reportCallIssue]
+    x, left = gmres(
+        *(matrix, rhs),
+        **{"rtol": tolerance, "M": operator, "restart": MOST_STEPS // 3, "maxiter": 3},
+        callback=steps.append,
+        callback_type="pr_norm",
+    )
+    return None if left else x, len(steps)

@@ -10,7 +10,7 @@ import os
 from importlib import import_module
 from types import ModuleType
 
-from . import philox
+from . import philox, scatter
 from .errors import InputError
 
 MOST_THREADS = 256
@@ -30,6 +30,7 @@ _kernels = _compiled()
 is_native = _kernels is not None
 
 philox4x32 = _kernels.philox4x32 if _kernels is not None else philox.philox4x32
+add_blocks = _kernels.add_blocks if _kernels is not None else scatter.add_blocks
 
 
 class _NoFaultError(Exception):

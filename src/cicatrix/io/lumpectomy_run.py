@@ -210,6 +210,7 @@ class LumpectomyRun:
     def _arrays(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> dict[str, np.ndarray]:
         arrays = {f"plan.{name}": array for name, array in plan_arrays(planned).items()}
         arrays |= {f"shape.{position}.{moment}": x for (position, moment), x in self.shapes.items()}
+        arrays |= {f"factor.{name}": array for name, array in cycle.equilibrium.kept().items()}
         arrays |= {"X": cycle.X, "x": state.x, "natural": state.natural, "filled": state.filled}
         arrays |= {"occupancy": state.healing.occupancy, "fronts": np.packbits(np.array(self.fronts), axis=-1)}
         return arrays
@@ -235,7 +236,9 @@ class LumpectomyRun:
         planned = plan_from_arrays(self.case, _part(arrays, "plan."))
         self.shapes = {tuple(name.split(".", 1)): x for name, x in _part(arrays, "shape.").items()}
         X = arrays["X"]
-        cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], self._equilibrium())
+        equilibrium = self._equilibrium()
+        equilibrium.restore(planned.intact.frame, _part(arrays, "factor."))
+        cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium)
         width = cycle.automaton.lattice.shape[-1]
         self.fronts = list(np.unpackbits(arrays["fronts"], axis=-1, count=width).astype(bool))
         self.rows = [{k: np.nan if v is None else v for k, v in row.items()} for row in scalars["rows"]]

@@ -23,7 +23,7 @@ LIBRARIES = (
     "equinox",
     "scikit-fem",
     "mmgpy",
-    "pypardiso",
+    "mkl",
     "SimpleITK",
     "pydicom",
     "pydantic",

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -31,6 +33,7 @@ from .pattern import Pattern
 from .space import SolidSpace, Space
 
 # the fused code generator of XLA takes twice as long to compile these kernels, and they run no faster for it
+PIECE = 2048  # elements that are linearised at a time
 COMPILER = {"xla_cpu_use_fusion_emitters": False}
 
 
@@ -58,33 +61,25 @@ class Frame:
         return self.space.facet_nodes(self.skin_facets)
 
     @cached_property
-    def blocks(self) -> list[np.ndarray]:
-        """Degrees of freedom (3 node + component) of elements (n, 3a) and skin edges (n, 9)."""
-        return [_dofs(self.space.element_nodes), _dofs(self.skin_nodes)]
-
-    @cached_property
     def _solved(self) -> dict[bool, tuple[np.ndarray, Pattern]]:
         return {}
 
     def solved(self, in_plane: bool) -> tuple[np.ndarray, Pattern]:
         """Free degrees of freedom and their pattern; ``in_plane`` leaves out the shift along the normal."""
         if in_plane not in self._solved:
-            free = np.ones((self.space.n_nodes, 3), bool)
-            free[self.fixed_nodes] = False
-            free[:, 2] &= not in_plane
-            dofs = np.flatnonzero(free)
-            self._solved[in_plane] = dofs, Pattern(self.blocks, dofs, free.size)
+            nodes = np.setdiff1d(np.arange(self.space.n_nodes), self.fixed_nodes)
+            components = 2 if in_plane else 3
+            dofs = (3 * nodes[:, None] + np.arange(components)).ravel()
+            elements = [self.space.element_nodes, self.skin_nodes]
+            self._solved[in_plane] = dofs, Pattern(elements, nodes, self.space.n_nodes, components)
         return self._solved[in_plane]
 
     def scatter(self, forces: list[Array]) -> np.ndarray:
-        """Sum element forces [(n, a, 3), ...] -> (n_nodes, 3)."""
-        dofs = np.concatenate([b.ravel() for b in self.blocks])
-        values = np.concatenate([np.asarray(f).ravel() for f in forces])
-        return np.bincount(dofs, weights=values, minlength=3 * self.space.n_nodes).reshape(-1, 3)
-
-
-def _dofs(nodes: np.ndarray) -> np.ndarray:
-    return (3 * nodes[:, :, None] + np.arange(3)).reshape(len(nodes), 3 * nodes.shape[1])
+        """Sum forces of elements and skin edges [(n, a, 3), ...] -> (n_nodes, 3)."""
+        nodes = np.concatenate([self.space.element_nodes.ravel(), self.skin_nodes.ravel()])
+        values = np.concatenate([np.asarray(f).reshape(-1, 3) for f in forces])
+        sums = [np.bincount(nodes, weights=column, minlength=self.space.n_nodes) for column in values.T]
+        return np.stack(sums, axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +117,11 @@ class Body:
         """Share of the volume ratio's fluctuation that each element keeps (n_elements,) [1]; none in a section."""
         if isinstance(self.frame.space, Space):
             return np.zeros(self.frame.space.n_elements)
-        return np.asarray(_kept_shares(self.law, self.density.shape)).mean(axis=1)
+        n, n_qp = self.density.shape
+        law, out = jax.tree.map(np.asarray, self.law), np.empty(n)
+        for piece, _ in _pieces(n):
+            out[piece] = np.asarray(_kept_shares(_part(law, piece, n), (piece.stop - piece.start, n_qp))).mean(axis=1)
+        return out
 
     def with_tissue(self, law: EnergyMaterial, density: np.ndarray, fraction: np.ndarray) -> Body:
         """The same frame and skin, other tissue; refuses nothing and compiles nothing."""
@@ -162,41 +161,61 @@ class Body:
 
     def linearised(
         self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, *, in_plane: bool, damping: float = 0.0
-    ) -> tuple[sp.csr_array, Linearised]:
-        """Derivative of the residual by x on the free dofs [mN/mm^2], and the elements' linearisation.
+    ) -> tuple[sp.bsr_array, VolumeRates]:
+        """Derivative of the residual by x on the free dofs [mN/mm^2], and what ties it to the volume ratios.
 
         Rows of nodes that no tissue holds are those of the identity; ``damping`` times the nodal mass [kg/mm] is added
         to the diagonal.
         """
-        elements, skin = _linearisations(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane)
-        return self._assembled(elements, skin, in_plane, damping * self.lumped_mass(X) if damping else None)
+        skin = _skin_tangents(self._tables, *self._edges(X, x), self._membrane)
+        linearise = partial(_linearisations, self._tables)
+        return self._assembled(
+            linearise, X, x, J_bar, skin, in_plane, damping * self.lumped_mass(X) if damping else None
+        )
 
     def linearised_reference(
         self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, gravity: np.ndarray, *, in_plane: bool
-    ) -> tuple[sp.csr_array, Linearised]:
+    ) -> tuple[sp.bsr_array, VolumeRates]:
         """The same by the reference positions X."""
-        gathered = self._gather(X, x)
-        elements, skin = _reference_linearisations(self._tables, *gathered, J_bar, self._bulk, self._membrane, gravity)
-        return self._assembled(elements, skin, in_plane)
+        skin = _reference_skin_tangents(self._tables, *self._edges(X, x), self._membrane)
+        linearise = partial(_reference_linearisations, self._tables, gravity)
+        return self._assembled(linearise, X, x, J_bar, skin, in_plane)
 
     def _assembled(
-        self, elements: Linearised, skin: Array, in_plane: bool, added: np.ndarray | None = None
-    ) -> tuple[sp.csr_array, Linearised]:
+        self,
+        linearise: Callable[..., Linearised],
+        X: np.ndarray,
+        x: np.ndarray,
+        J_bar: np.ndarray,
+        skin: Array,
+        in_plane: bool,
+        added: np.ndarray | None = None,
+    ) -> tuple[sp.bsr_array, VolumeRates]:
+        """Sum the elements' matrices piece by piece: all of them at once would take more memory than the factor."""
         free, pattern = self.frame.solved(in_plane)
+        cells, bulk = self.frame.space.element_nodes, jax.tree.map(np.asarray, self._bulk)
+        data, rates = pattern.zeros(), VolumeRates.empty(*J_bar.shape, 3 * cells.shape[1])
+        for piece, done in _pieces(len(cells)):
+            part = linearise(X[cells[piece]], x[cells[piece]], J_bar[piece], _part(bulk, piece, len(cells)))
+            pattern.add(data, 0, piece.start + done, np.asarray(part.stiffness)[done:])
+            rates.force_rate[piece], rates.volume_rate[piece] = part.force_rate, part.volume_rate
+        pattern.add(data, 1, 0, np.asarray(skin))
         diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
         if added is not None:
             diagonal += np.repeat(added, 3)[free]
-        matrix = pattern.assemble([np.asarray(elements.stiffness), np.asarray(skin)], diagonal)
-        return matrix, Linearised(*map(np.asarray, elements))
+        return pattern.matrix(data, diagonal), rates
 
-    def volume_force(self, elements: Linearised, gap: np.ndarray) -> np.ndarray:
+    def volume_force(self, rates: VolumeRates, gap: np.ndarray) -> np.ndarray:
         """Change of force when J_bar changes by ``gap`` (n_elements, n_qp) -> (n_nodes, 3) [mN/mm]."""
-        force = np.einsum("eqm,eq->em", elements.force_rate, gap).reshape(len(gap), -1, 3)
+        force = np.einsum("eqm,eq->em", rates.force_rate, gap).reshape(len(gap), -1, 3)
         return self.frame.scatter([force, np.zeros((*self.frame.skin_nodes.shape, 3))])
 
     def _gather(self, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
-        cells, edges = self.frame.space.element_nodes, self.frame.skin_nodes
-        return X[cells], x[cells], X[edges], x[edges]
+        cells = self.frame.space.element_nodes
+        return X[cells], x[cells], *self._edges(X, x)
+
+    def _edges(self, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
+        return X[self.frame.skin_nodes], x[self.frame.skin_nodes]
 
     def energy_density(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Strain energy per reference volume of tissue at quadrature points -> (n_elements, n_qp) [kPa]; 0 where open."""
@@ -235,6 +254,33 @@ class Body:
     @property
     def _tables(self) -> _Tables:
         return _Tables(self.frame.space)
+
+
+class VolumeRates(NamedTuple):
+    """What ties an assembled linearisation to the volume ratios at quadrature points, as in :class:`.elements.Linearised`."""
+
+    force_rate: np.ndarray
+    """Change of force by J_bar (n, n_qp, 3a) [mN/mm]."""
+    volume_rate: np.ndarray
+    """Change of J_bar by the positions (n, n_qp, 3a) [1/mm]."""
+
+    @classmethod
+    def empty(cls, *shape: int) -> VolumeRates:
+        """Not filled yet."""
+        return cls(np.empty(shape), np.empty(shape))
+
+
+def _pieces(n: int) -> Iterator[tuple[slice, int]]:
+    """Equal pieces of n elements, and how many in each were done before: the last overlaps, so that nothing compiles twice."""
+    size = min(n, PIECE)
+    for first in range(0, n, size) if n else ():
+        start = min(first, n - size)
+        yield slice(start, start + size), first - start
+
+
+def _part(filling, piece: slice, n: int):
+    """What fills a piece of n elements, law or bulk."""
+    return jax.tree.map(lambda leaf: leaf[piece] if leaf.ndim and len(leaf) == n else leaf, filling)
 
 
 class _Tables:
@@ -287,15 +333,23 @@ def _forces(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane, g
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
-def _linearisations(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane):
-    skin = tangent(lambda y: membrane_force(X_edges, y, membrane, tables.edge), x_edges)
-    return linearised(X_cells, x_cells, J_bar, bulk, tables.bulk), skin
+def _linearisations(tables, X_cells, x_cells, J_bar, bulk):
+    return linearised(X_cells, x_cells, J_bar, bulk, tables.bulk)
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
-def _reference_linearisations(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane, gravity):
-    skin = tangent(lambda Y: membrane_force(Y, x_edges, membrane, tables.edge), X_edges)
-    return linearised_reference(X_cells, x_cells, J_bar, bulk, gravity, tables.bulk), skin
+def _skin_tangents(tables, X_edges, x_edges, membrane):
+    return tangent(lambda y: membrane_force(X_edges, y, membrane, tables.edge), x_edges)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _reference_linearisations(tables, gravity, X_cells, x_cells, J_bar, bulk):
+    return linearised_reference(X_cells, x_cells, J_bar, bulk, gravity, tables.bulk)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _reference_skin_tangents(tables, X_edges, x_edges, membrane):
+    return tangent(lambda Y: membrane_force(Y, x_edges, membrane, tables.edge), X_edges)
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
@@ -312,7 +366,9 @@ KERNELS = (
     _dilations,
     _forces,
     _linearisations,
+    _skin_tangents,
     _reference_linearisations,
+    _reference_skin_tangents,
     _energies,
     _skin_energies,
     _gradients,

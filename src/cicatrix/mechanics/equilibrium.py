@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,19 +11,19 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError
-from ..core.linear import LinearSolver, linear_solver
+from ..core.linear import LinearSolver
 from ..core.newton import NewtonReport, minimise, newton, ramp
-from .body import Body
-from .elements import Linearised
+from .body import Body, Frame, VolumeRates
 from .space import Space
 
 SMALLEST_STEP = 0.25  # of a load; below that, going downhill is cheaper
 REUSE_BELOW = 0.05  # a step that brings the residual below this share earns its tangent another one
+LOOSEST, CLOSE = 1e-2, 1e-6  # how exactly a linear system is solved, relative to its right-hand side
 START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
 
 
 class Equilibrium:
-    """Solver for bodies on one frame: keeps the factorised pattern, nothing of any solution.
+    """Solver for bodies on one frame; it keeps factors from solve to solve, which change its path by no more than rounding.
 
     Parameters
     ----------
@@ -35,12 +35,32 @@ class Equilibrium:
 
     def __init__(self, relative_tolerance: float = 1e-8, tell: Callable[[str], None] | None = None) -> None:
         self.relative_tolerance, self.tell = relative_tolerance, tell
-        self._linear: dict[tuple[bool, bool], LinearSolver] = {}
+        self._linear = {in_plane: LinearSolver(symmetric=True) for in_plane in (False, True)}
+        self._inverse = LinearSolver(symmetric=False)
 
     @property
     def factorizations(self) -> int:
         """Matrices factorised so far."""
-        return sum(s.n_factorizations for s in self._linear.values())
+        return sum(s.n_factorizations for s in (*self._linear.values(), self._inverse))
+
+    @property
+    def krylov_steps(self) -> int:
+        """Solves with a factor so far."""
+        return sum(s.n_steps for s in (*self._linear.values(), self._inverse))
+
+    def kept(self) -> dict[str, np.ndarray]:
+        """Everything that the next solve depends on besides its arguments: the factors, for ``restore``."""
+        solvers = self._linear.items()
+        return {f"{int(plane)}.{name}": array for plane, solver in solvers for name, array in solver.kept().items()}
+
+    def restore(self, frame: Frame, kept: Mapping[str, np.ndarray]) -> None:
+        """Go on, to the bit, where another solver on the same frame was."""
+        for in_plane, solver in self._linear.items():
+            prefix = f"{int(in_plane)}."
+            part = {name.removeprefix(prefix): array for name, array in kept.items() if name.startswith(prefix)}
+            if part:
+                _, pattern = frame.solved(in_plane)
+                solver.restore(pattern.matrix(pattern.zeros(), np.zeros(pattern.n_dofs)), part)
 
     def loaded(
         self, body: Body, X: np.ndarray, gravity: np.ndarray, start: np.ndarray | None = None
@@ -130,7 +150,9 @@ class Equilibrium:
         def advance(X: np.ndarray, factor: float) -> np.ndarray:
             return self._newton(_Problem(body, x, X, factor * gravity, gravity, inverse=True), report)
 
-        return ramp(advance, x, report, max_iterations=300), report  # slender breasts hang far: many small steps
+        X = ramp(advance, x, report, max_iterations=300)  # slender breasts hang far: many small steps
+        self._inverse.forget()
+        return X, report
 
     def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Newton on the unknown positions and volume ratios together, the ratios eliminated element by element.
@@ -147,30 +169,28 @@ class Equilibrium:
             r = problem.free_part(body.residual(*shapes, problem.gravity, J_bar)) - problem.held
             return np.concatenate([r, scale * (body.dilation(*shapes) - J_bar).ravel()])
 
-        def linearise(z: np.ndarray) -> tuple[LinearSolver, Linearised]:
-            matrix, elements = problem.linearised(z[:n], z[n:].reshape(shape))
-            return self._factored(problem, matrix), elements
-
-        kept = _Kept(linearise)
+        solver = self._inverse if problem.inverse else self._linear[problem.in_plane]
+        tolerance = self.relative_tolerance * problem.weight
+        kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), tolerance)
 
         def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
-            solver, elements = kept.at(z, r)
+            (matrix, rates), forcing = kept.at(z, r)
             gap = r[n:].reshape(shape) / scale
-            du = solver.solve(-(r[:n] + problem.free_part(body.volume_force(elements, gap))))
+            du = solver.solve(matrix, -(r[:n] + problem.free_part(body.volume_force(rates, gap))), forcing)
             moved = (problem.positions(z[:n] + du) - problem.positions(z[:n]))[body.frame.space.element_nodes]
-            dJ = np.einsum("eqm,em->eq", elements.volume_rate, moved.reshape(shape[0], -1)) + gap
+            dJ = np.einsum("eqm,em->eq", rates.volume_rate, moved.reshape(shape[0], -1)) + gap
             return np.concatenate([du, dJ.ravel()])
 
         z = np.concatenate([problem.x.reshape(-1)[problem.free], problem.volume_ratios.ravel()])
-        z = newton(residual, step, z, tolerance=self.relative_tolerance * problem.weight, report=report)
-        if kept.value is not None and kept.value[0].n_negative:
+        z = newton(residual, step, z, tolerance=tolerance, report=report)
+        if kept.value is not None and not problem.inverse and not solver.is_definite(kept.value[0]):
             raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
         _check_elements(body, *problem.shapes(z[:n]))
         return problem.positions(z[:n])
 
     def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Walk down the potential energy."""
-        body = problem.body
+        body, solver = problem.body, LinearSolver(symmetric=True)
 
         def energy(values: np.ndarray) -> float:
             return body.potential(problem.X, problem.positions(values), problem.gravity)
@@ -183,20 +203,13 @@ class Equilibrium:
             damping *= max(np.linalg.norm(problem.gravity), 1.0)  # pyright: ignore[reportAssignmentType]
             J_bar = body.dilation(problem.X, x)
             matrix, _ = body.linearised(problem.X, x, J_bar, in_plane=problem.in_plane, damping=damping)
-            return self._factored(problem, matrix).solve(-r)
+            return solver.solve(matrix, -r, CLOSE)
 
         start = problem.x.reshape(-1)[problem.free]
         tolerance = self.relative_tolerance * problem.weight
         values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
         _check_elements(body, *problem.shapes(values))
         return problem.positions(values)
-
-    def _factored(self, problem: _Problem, matrix: sp.csr_array) -> LinearSolver:
-        key = (problem.inverse, problem.in_plane)
-        if key not in self._linear:
-            self._linear[key] = linear_solver(symmetric=not problem.inverse)
-        self._linear[key].factor(matrix)
-        return self._linear[key]
 
 
 def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
@@ -224,18 +237,21 @@ class _Path:
 
 
 class _Kept:
-    """A linearisation that is used again as long as it brings the residual down fast enough."""
+    """A linearisation that is used again as long as it brings the residual down fast enough, and how exactly to solve with it."""
 
-    def __init__(self, linearise: Callable[[np.ndarray], Any]) -> None:
-        self._linearise, self.value, self._norm = linearise, None, np.inf
+    def __init__(self, linearise: Callable[[np.ndarray], Any], tolerance: float) -> None:
+        self._linearise, self._tolerance = linearise, tolerance
+        self.value, self._norm = None, np.inf
 
-    def at(self, z: np.ndarray, r: np.ndarray) -> Any:
-        """The linearisation to use at z, where the residual is r."""
+    def at(self, z: np.ndarray, r: np.ndarray) -> tuple[Any, float]:
+        """The linearisation to use at z, where the residual is r, and the forcing term of Eisenstat & Walker (1996, choice 2)."""
         norm = float(np.linalg.norm(r))
         if self.value is None or not norm < REUSE_BELOW * self._norm:
+            self.value = None
             self.value = self._linearise(z)
+        forcing = np.clip(0.9 * (norm / self._norm) ** 2, 0.1 * self._tolerance / norm, LOOSEST)
         self._norm = norm
-        return self.value
+        return self.value, float(forcing)
 
 
 @dataclass(frozen=True, eq=False)
@@ -298,7 +314,7 @@ class _Problem:
     def _ordered(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return (unknown, self.X) if self.inverse else (self.X, unknown)
 
-    def linearised(self, values: np.ndarray, J_bar: np.ndarray) -> tuple[sp.csr_array, Linearised]:
+    def linearised(self, values: np.ndarray, J_bar: np.ndarray) -> tuple[sp.bsr_array, VolumeRates]:
         """Derivatives by the unknown shape and the volume ratios."""
         if self.inverse:
             return self.body.linearised_reference(*self.shapes(values), J_bar, self.gravity, in_plane=self.in_plane)

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.sparse.linalg import splu
 
+from ..core.linear import LinearSolver
 from .body import Frame, measures
 from .elements import slopes
 from .pattern import Pattern
 from .space import Space
+
+ACCURACY = 1e-12  # of the linear solve, relative to the forces that tissue exerts
 
 
 class Extension:
@@ -29,21 +31,29 @@ class Extension:
     def __init__(self, frame: Frame, X: np.ndarray) -> None:
         self._frame, self._X = frame, X
         self._stiffness = _linear_stiffness(frame.space, X)
-        self._pattern = Pattern(frame.blocks[:1], np.arange(3 * frame.space.n_nodes), 3 * frame.space.n_nodes)
-        self._no_diagonal = np.zeros(3 * frame.space.n_nodes)
 
     def fill(self, x: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """Positions with the open nodes moved along: x (n_nodes, 3) [mm], fraction (n_elements,) -> (n_nodes, 3) [mm]."""
-        held = np.zeros(self._frame.space.n_nodes, bool)
-        held[self._frame.space.element_nodes[fraction > 0.0]] = True
+        space = self._frame.space
+        held = np.zeros(space.n_nodes, bool)
+        held[space.element_nodes[fraction > 0.0]] = True
         held[self._frame.fixed_nodes] = True
         if held.all():
             return x
-        K = self._pattern.assemble([self._stiffness * (fraction == 0.0)[:, None, None]], self._no_diagonal)
-        is_open = ~np.repeat(held, 3)
-        u = (x - self._X).reshape(-1)
-        u[is_open] = splu(K[is_open][:, is_open].tocsc()).solve(-K[is_open][:, ~is_open] @ u[~is_open])
-        return self._X + u.reshape(-1, 3)
+        cells, stiffness = space.element_nodes[fraction == 0.0], self._stiffness[fraction == 0.0]
+        nodes = np.flatnonzero(~held)
+        pattern = Pattern([cells], nodes, space.n_nodes)
+        data = pattern.zeros()
+        pattern.add(data, 0, 0, stiffness)
+        u = x - self._X
+        u[nodes] = 0.0
+        force = np.zeros_like(u)
+        np.add.at(
+            force, cells, np.einsum("emn,en->em", stiffness, u[cells].reshape(len(cells), -1)).reshape(*cells.shape, 3)
+        )
+        matrix = pattern.matrix(data, np.zeros(pattern.n_dofs))
+        u[nodes] = LinearSolver(symmetric=True).solve(matrix, -force[nodes].ravel(), ACCURACY).reshape(-1, 3)
+        return self._X + u
 
 
 def _linear_stiffness(space: Space, X: np.ndarray) -> np.ndarray:

@@ -1,43 +1,62 @@
-"""Assembly of element matrices into a sparsity pattern that is built once."""
+"""Assembly of element matrices into the blocks of a sparse matrix whose pattern is built once."""
 
 from __future__ import annotations
 
 import numpy as np
 import scipy.sparse as sp
 
+from ..core.native import add_blocks
+
 
 class Pattern:
-    """Where each entry of each element matrix goes.
+    """Where each block of each element matrix goes.
 
     Parameters
     ----------
-    blocks : list of (n, k) int arrays
-        Degrees of freedom of each element, one array per kind of element.
-    free : (n_free,) int array
-        Degrees of freedom that are solved for, ascending; the others are left out.
-    n_dofs : int
-        Number of all degrees of freedom.
+    elements : list of (n, a) int arrays
+        Nodes of each element, one array per kind of element.
+    nodes : (n_free,) int array
+        Nodes that are solved for, ascending; the others are left out.
+    n_nodes : int
+        Number of all nodes.
+    components : int
+        Components of each node that are solved for, the first 2 or all 3.
     """
 
-    def __init__(self, blocks: list[np.ndarray], free: np.ndarray, n_dofs: int) -> None:
-        number = np.full(n_dofs, -1)
-        number[free] = np.arange(free.size)
-        rows = np.concatenate([np.repeat(number[b], b.shape[1], axis=1).ravel() for b in blocks])
-        columns = np.concatenate([np.tile(number[b], (1, b.shape[1])).ravel() for b in blocks])
-        kept = (rows >= 0) & (columns >= 0)
-        diagonal = np.arange(free.size)
-        keys = np.concatenate([rows[kept] * free.size + columns[kept], diagonal * free.size + diagonal])
-        unique, slots = np.unique(keys, return_inverse=True)
-        self._kept = np.flatnonzero(kept)
-        self._slots = slots[: self._kept.size]
-        self._diagonal = slots[self._kept.size :]
-        self._indices = unique % free.size
-        self._indptr = np.searchsorted(unique, np.arange(free.size + 1) * free.size)
-        self._shape = (free.size, free.size)
+    def __init__(self, elements: list[np.ndarray], nodes: np.ndarray, n_nodes: int, components: int = 3) -> None:
+        n = nodes.size
+        number = np.full(n_nodes, -1)
+        number[nodes] = np.arange(n)
+        pairs = [_pairs(number[e], n) for e in elements]
+        diagonal = np.arange(n) * (n + 1)
+        unique = np.unique(np.concatenate([*(p[p >= 0] for p in pairs), diagonal]))
+        self._slots = [np.where(p >= 0, np.searchsorted(unique, p), -1).astype(np.int32) for p in pairs]
+        self._diagonal = np.searchsorted(unique, diagonal)
+        self._indices = (unique % n).astype(np.int32)
+        self._indptr = np.searchsorted(unique, np.arange(n + 1) * n).astype(np.int32)
+        self._components = components
 
-    def assemble(self, matrices: list[np.ndarray], diagonal: np.ndarray) -> sp.csr_array:
-        """Sum element matrices [(n, k, k), ...] and a diagonal (n_free,)."""
-        values = np.concatenate([np.asarray(m).ravel() for m in matrices])[self._kept]
-        data = np.bincount(self._slots, weights=values, minlength=self._indices.size)
-        data[self._diagonal] += diagonal
-        return sp.csr_array((data, self._indices, self._indptr), shape=self._shape)
+    @property
+    def n_dofs(self) -> int:
+        """Degrees of freedom solved for."""
+        return (self._indptr.size - 1) * self._components
+
+    def zeros(self) -> np.ndarray:
+        """Blocks of an empty matrix (n_blocks, components, components), to add to."""
+        return np.zeros((self._indices.size, self._components, self._components))
+
+    def add(self, data: np.ndarray, kind: int, first: int, matrices: np.ndarray) -> None:
+        """Add matrices (n, 3a, 3a) of the elements of a kind from number ``first`` on."""
+        add_blocks(data, self._slots[kind][first : first + len(matrices)], np.ascontiguousarray(matrices))
+
+    def matrix(self, data: np.ndarray, diagonal: np.ndarray) -> sp.bsr_array:
+        """Make a matrix of the blocks and a diagonal (n_dofs,) that is added."""
+        k = np.arange(self._components)
+        data[self._diagonal[:, None], k, k] += diagonal.reshape(-1, self._components)
+        return sp.bsr_array((data, self._indices, self._indptr), shape=(self.n_dofs, self.n_dofs))
+
+
+def _pairs(nodes: np.ndarray, n: int) -> np.ndarray:
+    """Number of each pair of an element's nodes (m, a) -> (m, a, a); -1 with a node that is left out (-1)."""
+    rows, columns = nodes[:, :, None], nodes[:, None, :]
+    return np.where((rows >= 0) & (columns >= 0), rows * n + columns, -1)

@@ -1,0 +1,223 @@
+"""Sparse direct factorisations behind one small protocol: MKL PARDISO where MKL is installed, SuperLU (SciPy) elsewhere.
+
+A factor here is a preconditioner: it may be single precision, and it may be that of another matrix that is near.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import site
+import sys
+import weakref
+from ctypes.util import find_library
+from enum import IntEnum
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.linalg import splu
+
+# the same bits in every run on one kind of machine: MKL may order its sums by threads and by where memory happens to lie, unless
+# told not to; COMPATIBLE would give them on every x86-64, at two to three times the time
+os.environ.setdefault("MKL_NUM_THREADS", "1")
+os.environ.setdefault("MKL_CBWR", "AUTO")
+
+
+class Kind(IntEnum):
+    """What is known of a matrix; the values are PARDISO's."""
+
+    DEFINITE = 2
+    SYMMETRIC = -2
+    GENERAL = 11
+
+
+class Factor(Protocol):
+    """A factorised matrix."""
+
+    @property
+    def n_negative(self) -> int | None:
+        """Negative eigenvalues of a symmetric matrix; None where that is not known."""
+        ...
+
+    @property
+    def values(self) -> np.ndarray:
+        """Numbers it was made of."""
+        ...
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """(n,) -> (n,) float64."""
+        ...
+
+
+class Factorisation(Protocol):
+    """Factor matrices of one pattern; what a pattern alone decides is found once."""
+
+    def factor(self, matrix: sp.bsr_array) -> Factor:
+        """Factorise; raises FloatingPointError where the matrix is singular, or not definite where it should be."""
+        ...
+
+    def again(self, values: np.ndarray) -> Factor:
+        """The factor that was made of these numbers, to the bit."""
+        ...
+
+
+def _mkl() -> ctypes.CDLL | None:
+    """Find MKL's one library where its wheel puts it, or where the system looks."""
+    names = ("libmkl_rt.so*", "libmkl_rt*.dylib", "mkl_rt*.dll")
+    folders = [Path(base, part) for base in (sys.prefix, site.getuserbase()) for part in ("lib", "Library/bin")]
+    found = [str(file) for folder in folders for name in names for file in sorted(folder.glob(name))]
+    for path in [*found, find_library("mkl_rt")]:
+        try:
+            return ctypes.CDLL(path) if path else None
+        except OSError:
+            continue
+    return None
+
+
+MKL = _mkl()
+NOT_DEFINITE = -4  # PARDISO's word for a pivot that is not positive, or zero
+N_NEGATIVE, FACTOR_NNZ = 22, 17  # where it tells of them
+
+
+class Pardiso:
+    """MKL PARDISO: Cholesky or a general factorisation in single precision, or a symmetric indefinite one in double.
+
+    Parameters
+    ----------
+    kind : Kind
+        What to take for granted.
+    matrix : bsr_array
+        Any matrix of the pattern; of symmetric ones the upper triangle is read.
+
+    Raises
+    ------
+    FloatingPointError
+        Where PARDISO finds the pattern singular.
+    """
+
+    def __init__(self, kind: Kind, matrix: sp.bsr_array) -> None:
+        self.kind = kind
+        self._type = np.float64 if kind == Kind.SYMMETRIC else np.float32
+        self._slots, self._indices, self._indptr = _triangle(matrix) if kind != Kind.GENERAL else _whole(matrix)
+        self._handle = np.zeros(64, np.int64)
+        self._iparm = np.zeros(64, np.int32)
+        self._options(kind)
+        self.values = np.zeros(self._indices.size, self._type)
+        self._x = np.zeros(matrix.shape[0], self._type)
+        self.n_negative: int | None = None
+        weakref.finalize(self, _release, self._handle, kind, self._iparm, matrix.shape[0])
+        self.values[:] = matrix.data.reshape(-1)[self._slots]
+        self._call(11)
+
+    def _options(self, kind: Kind) -> None:
+        own, permutation, scaling, matching, inertia, single, from_zero = 0, 9, 10, 12, 20, 27, 34
+        self._iparm[[own, from_zero]] = 1
+        self._iparm[1] = 2  # METIS
+        self._iparm[permutation] = 13 if kind == Kind.GENERAL else 8
+        self._iparm[scaling] = self._iparm[matching] = int(kind == Kind.GENERAL)
+        self._iparm[inertia] = 1
+        self._iparm[FACTOR_NNZ] = -1
+        self._iparm[single] = int(self._type == np.float32)
+
+    def factor(self, matrix: sp.bsr_array) -> Pardiso:
+        """Factorise; raises FloatingPointError where the matrix is singular, not finite, or not definite where it should be."""
+        if not np.isfinite(matrix.data).all():
+            raise FloatingPointError("the matrix holds numbers that are not finite")
+        return self.again(matrix.data.reshape(-1)[self._slots])
+
+    def again(self, values: np.ndarray) -> Pardiso:
+        """The factor that was made of these numbers, to the bit; raises FloatingPointError as ``factor``."""
+        self.values[:] = values
+        self._call(22)
+        self.n_negative = 0 if self.kind == Kind.DEFINITE else int(self._iparm[N_NEGATIVE])
+        return self
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """(n,) -> (n,) float64."""
+        return self._call(33, rhs.astype(self._type)).astype(float)
+
+    def _call(self, phase: int, rhs: np.ndarray | None = None) -> np.ndarray:
+        arrays = self.values, self._indptr, self._indices
+        error = _pardiso(self._handle, self.kind, self._iparm, phase, self._x.size, arrays, rhs, self._x)
+        if error:
+            what = "a pivot is not positive" if error == NOT_DEFINITE else f"PARDISO reports error {error}"
+            raise MemoryError("no memory for the factor") if error == -2 else FloatingPointError(what)
+        return self._x
+
+
+def _pardiso(handle, kind, iparm, phase, n, matrix=(None, None, None), rhs=None, x=None) -> int:
+    """One call of PARDISO; returns its error."""
+
+    def at(array: np.ndarray | None):
+        return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
+
+    def number(value: int):
+        return ctypes.byref(ctypes.c_int(value))
+
+    error = ctypes.c_int(0)
+    values, indptr, indices = map(at, matrix)
+    MKL.pardiso(
+        *(at(handle), number(1), number(1), number(kind), number(phase), number(n), values, indptr, indices),
+        *(None, number(1), at(iparm), number(0), at(rhs), at(x), ctypes.byref(error)),
+    )
+    return error.value
+
+
+def _release(handle: np.ndarray, kind: Kind, iparm: np.ndarray, n: int) -> None:
+    _pardiso(handle, kind, iparm, -1, n)
+
+
+def _whole(matrix: sp.bsr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Where the entries of a compressed matrix lie in the blocks' data, its columns, and where its rows begin."""
+    places = np.arange(matrix.data.size, dtype=np.int32).reshape(matrix.data.shape)
+    scalar = sp.bsr_array((places + 1, matrix.indices, matrix.indptr), shape=matrix.shape).tocsr()
+    scalar.sort_indices()
+    return scalar.data - 1, scalar.indices.astype(np.int32), scalar.indptr.astype(np.int32)
+
+
+def _triangle(matrix: sp.bsr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    slots, indices, indptr = _whole(matrix)
+    rows = np.repeat(np.arange(matrix.shape[0], dtype=np.int32), np.diff(indptr))
+    upper = indices >= rows
+    counts = np.bincount(rows[upper], minlength=matrix.shape[0])
+    return slots[upper], indices[upper], np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+
+
+class SuperLU:
+    """SciPy's SuperLU: slower, everywhere; it tells nothing of the signs of eigenvalues."""
+
+    n_negative = None
+
+    def __init__(self, kind: Kind, matrix: sp.bsr_array) -> None:
+        self._pattern = (matrix.indices, matrix.indptr), matrix.shape
+        self.values = matrix.data
+        self._order = "COLAMD" if kind == Kind.GENERAL else "MMD_AT_PLUS_A"
+
+    def factor(self, matrix: sp.bsr_array) -> SuperLU:
+        """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
+        if not np.isfinite(matrix.data).all():
+            raise FloatingPointError("the matrix holds numbers that are not finite")
+        return self.again(matrix.data)
+
+    def again(self, values: np.ndarray) -> SuperLU:
+        """The factor that was made of these numbers, to the bit; raises FloatingPointError as ``factor``."""
+        self.values = values
+        blocks = sp.bsr_array((values, *self._pattern[0]), shape=self._pattern[1])
+        try:
+            self._lu = splu(blocks.tocsc(), permc_spec=self._order)
+        except RuntimeError as error:
+            raise FloatingPointError(str(error)) from error
+        return self
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """(n,) -> (n,) float64."""
+        return self._lu.solve(rhs)
+
+
+def factorisation(kind: Kind, matrix: sp.bsr_array) -> Factorisation:
+    """Return the best one of this machine; CICATRIX_LINEAR_SOLVER = "scipy" asks for SuperLU."""
+    if MKL is not None and os.environ.get("CICATRIX_LINEAR_SOLVER") != "scipy":
+        return Pardiso(kind, matrix)
+    return SuperLU(kind, matrix)

@@ -1,0 +1,45 @@
+"""A body as an input file of CalculiX, the open solver that mechanics is compared with."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..mechanics.body import Body
+
+
+def calculix_deck(body: Body, gravity: np.ndarray) -> str:
+    """Write a solid of neo-Hookean tissue and its gravity as one static step of CalculiX.
+
+    Its law is C10 (I1_bar - 3) + (J - 1)^2 / D1 with C10 = mu / 2 and D1 = 2 / kappa (CalculiX manual, *HYPERELASTIC), its
+    element C3D10 the quadratic tetrahedron with four points.
+
+    Parameters
+    ----------
+    body : Body
+        Of tetrahedra without skin; mu, kappa and density are constant in each element.
+    gravity : (3,) array [mm/s^2]
+        Acceleration.
+    """
+    space = body.frame.space
+    law = np.stack([np.broadcast_to(v, body.density.shape)[:, 0] for v in (body.law.mu, body.law.kappa, body.density)])
+    kinds, kind = np.unique(law, axis=1, return_inverse=True)
+    lines = ["*NODE, NSET=ALL"]
+    lines += [f"{i}, {x:.12e}, {y:.12e}, {z:.12e}" for i, (x, y, z) in enumerate(space.positions, 1)]
+    for k, (mu, kappa, density) in enumerate(kinds.T):
+        lines += [f"*ELEMENT, TYPE=C3D10, ELSET=E{k}"]
+        lines += [", ".join(map(str, (i + 1, *space.element_nodes[i] + 1))) for i in np.flatnonzero(kind.ravel() == k)]
+        lines += [f"*MATERIAL, NAME=M{k}", "*HYPERELASTIC, NEO HOOKE", f"{mu / 2:.12e}, {2 / kappa:.12e}"]
+        lines += ["*DENSITY", f"{density:.6e}", f"*SOLID SECTION, ELSET=E{k}, MATERIAL=M{k}"]
+    lines += ["*NSET, NSET=HELD", *(f"{i + 1}," for i in body.frame.fixed_nodes), "*BOUNDARY", "HELD, 1, 3"]
+    lines += ["*STEP, NLGEOM, INC=1000", "*STATIC", "1., 1.", "*CONTROLS, PARAMETERS=FIELD", "1.e-9, 1.e-9", "*DLOAD"]
+    size = float(np.linalg.norm(gravity))
+    along = ", ".join(f"{g:.12e}" for g in np.asarray(gravity) / (size or 1.0))
+    lines += [f"E{k}, GRAV, {size:.12e}, {along}" for k in range(kinds.shape[1])]
+    return "\n".join([*lines, "*NODE PRINT, NSET=ALL", "U", "*END STEP", ""])
+
+
+def calculix_displacements(text: str, n_nodes: int) -> np.ndarray:
+    """Displacements (n_nodes, 3) [mm] of the last step that CalculiX printed; fewer rows where it did not finish."""
+    rows = [line.split() for line in text.splitlines()]
+    numbers = [[float(value) for value in row[1:]] for row in rows if len(row) == 4 and row[0].isdecimal()]
+    return np.array(numbers[-n_nodes:]).reshape(-1, 3)

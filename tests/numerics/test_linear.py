@@ -1,0 +1,136 @@
+"""Linear solves against dense ones: every kind of matrix, a factor that is kept, and what makes it give way."""
+
+import numpy as np
+import pytest
+import scipy.sparse as sp
+
+from cicatrix.core import factors, scatter
+from cicatrix.core.linear import LinearSolver, conjugate_gradients
+from cicatrix.core.native import add_blocks
+from cicatrix.mechanics.pattern import Pattern
+
+N_NODES = 40
+
+
+@pytest.fixture(params=["mkl", "scipy"])
+def library(request, monkeypatch):
+    if request.param == "mkl" and factors.MKL is None:
+        pytest.skip("MKL is not installed")
+    monkeypatch.setenv("CICATRIX_LINEAR_SOLVER", request.param)
+    return request.param
+
+
+def matrix_of(b, shift=0.0, skew=0.0, seed=0):
+    """Chain of springs between near nodes, its blocks random: symmetric positive definite for shift = skew = 0."""
+    rng = np.random.default_rng(seed)
+    elements = np.arange(N_NODES - 3)[:, None] + np.arange(4)
+    A = rng.standard_normal((len(elements), 12, 12))
+    stiffness = A @ A.transpose(0, 2, 1) + skew * A
+    pattern = Pattern([elements], np.arange(2, N_NODES), N_NODES, b)
+    data = pattern.zeros()
+    pattern.add(data, 0, 0, stiffness)
+    return pattern.matrix(data, np.full(pattern.n_dofs, -shift))
+
+
+def right_side(matrix):
+    return np.random.default_rng(5).standard_normal(matrix.shape[0])
+
+
+@pytest.mark.parametrize("b", [2, 3])
+def test_pattern_sums_what_a_dense_loop_sums(b):
+    """Entries of three elements that share nodes, one node left out, a diagonal added: by a plain loop."""
+    elements, nodes = np.array([[0, 1, 2], [2, 3, 1], [4, 0, 3]]), np.array([0, 1, 3, 4])
+    matrices = np.random.default_rng(1).standard_normal((3, 9, 9))
+    pattern = Pattern([elements, elements[:0]], nodes, 5, b)
+    data = pattern.zeros()
+    pattern.add(data, 0, 1, matrices[1:])
+    pattern.add(data, 0, 0, matrices[:1])
+    expected = np.diag(np.arange(1.0, 4 * b + 1))
+    for element, K in zip(elements, matrices):
+        for i, one in enumerate(element):
+            for j, other in enumerate(element):
+                if one != 2 and other != 2:
+                    r, c = b * np.flatnonzero(nodes == one)[0], b * np.flatnonzero(nodes == other)[0]
+                    expected[r : r + b, c : c + b] += K[3 * i : 3 * i + b, 3 * j : 3 * j + b]
+    np.testing.assert_allclose(pattern.matrix(data, np.arange(1.0, 4 * b + 1)).toarray(), expected, atol=1e-14)
+
+
+@pytest.mark.parametrize("b", [2, 3])
+def test_compiled_scatter_is_its_twin(b):
+    rng = np.random.default_rng(2)
+    slots = rng.integers(-1, 50, (30, 6, 6)).astype(np.int32)
+    matrices = rng.standard_normal((30, 18, 18))
+    start = rng.standard_normal((50, b, b))
+    fast, slow = start.copy(), start.copy()
+    add_blocks(fast, slots, matrices)
+    scatter.add_blocks(slow, slots, matrices)
+    assert (fast == slow).all()
+
+
+@pytest.mark.parametrize(
+    ("shift", "skew"), [(0.0, 0.0), (30.0, 0.0), (0.0, 0.3)], ids=["definite", "indefinite", "general"]
+)
+@pytest.mark.parametrize("b", [2, 3])
+def test_solution_is_that_of_a_dense_solver(library, b, shift, skew):
+    matrix = matrix_of(b, shift, skew)
+    eigenvalues = np.linalg.eigvals(matrix.toarray()).real
+    assert (eigenvalues.min() < 0) == (shift > 0)
+    rhs, solver = right_side(matrix), LinearSolver(symmetric=skew == 0.0)
+    x = solver.solve(matrix, rhs, 1e-12)
+    np.testing.assert_allclose(x, np.linalg.solve(matrix.toarray(), rhs), rtol=0, atol=1e-9 * np.abs(x).max())
+    assert solver.n_steps <= 6
+    if skew == 0.0 and (library == "mkl" or shift == 0.0):  # SuperLU of an indefinite matrix tells nothing of signs
+        assert solver.is_definite(matrix) == (shift == 0.0)
+
+
+def test_a_factor_is_kept_for_matrices_that_are_near(library):
+    """A change of 2 percent costs no factorisation, and the answer is that of the new matrix to its tolerance."""
+    matrix, solver = matrix_of(3), LinearSolver(symmetric=True)
+    rhs = right_side(matrix)
+    solver.solve(matrix, rhs, 1e-10)
+    near = matrix.copy()
+    near.data = near.data * (1.0 + 0.02 * np.cos(np.arange(len(near.data))))[:, None, None]
+    near = sp.bsr_array(0.5 * (near + near.T), blocksize=(3, 3))
+    near.sort_indices()
+    x = solver.solve(near, rhs, 1e-10)
+    assert solver.n_factorizations == 1
+    assert np.linalg.norm(near @ x - rhs) <= 2e-10 * np.linalg.norm(rhs)
+
+
+def test_negative_curvature_makes_a_factor_give_way(library):
+    """With the factor of a definite matrix, one that is not is noticed, in the solve and by the search alone."""
+    matrix, other = matrix_of(3), matrix_of(3, shift=30.0)
+    solver, rhs = LinearSolver(symmetric=True), right_side(matrix_of(3))
+    solver.solve(matrix, rhs, 1e-10)
+    assert solver.is_definite(matrix)
+    assert not solver.is_definite(other)
+    x = solver.solve(other, rhs, 1e-10)
+    assert np.linalg.norm(other @ x - rhs) <= 1e-9 * np.linalg.norm(rhs)
+    assert solver.n_factorizations > 1
+
+
+def test_conjugate_gradients_end_in_as_many_steps_as_there_are_eigenvalues():
+    """Three distinct eigenvalues: three steps (theory)."""
+    d = np.repeat([1.0, 3.0, 10.0], 20)
+    matrix = sp.bsr_array(np.diag(d))
+    x, steps = conjugate_gradients(matrix, np.ones(60), lambda r: r.copy(), 1e-12, 10)
+    assert steps == 3
+    np.testing.assert_allclose(x, 1 / d, rtol=1e-12)
+
+
+@pytest.mark.parametrize("fault", [np.nan, 0.0])
+def test_a_matrix_that_cannot_be_factorised_is_refused(library, fault):
+    matrix = matrix_of(3)
+    matrix.data[:] = fault
+    with pytest.raises(FloatingPointError):
+        LinearSolver(symmetric=True).solve(matrix, right_side(matrix), 1e-8)
+
+
+@pytest.mark.parametrize("shift", [0.0, 30.0])
+def test_a_restored_solver_goes_on_to_the_same_bits(library, shift):
+    matrix, near = matrix_of(3, shift), matrix_of(3, shift + 0.1)
+    one, other, rhs = LinearSolver(symmetric=True), LinearSolver(symmetric=True), right_side(matrix_of(3))
+    one.solve(matrix, rhs, 1e-10)
+    other.restore(matrix, {name: array.copy() for name, array in one.kept().items()})
+    assert (one.solve(near, rhs, 1e-10) == other.solve(near, rhs, 1e-10)).all()
+    assert other.n_factorizations == 0
