@@ -7,8 +7,9 @@ by :mod:`cicatrix.study.sources`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, model_validator
 
@@ -28,6 +29,7 @@ from .limits import (
 )
 
 Position = Literal["prone", "supine", "upright"]
+SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # what a mesh of three dimensions has by default
 REFERENCE_PITCH_UM = CELL_UM  # the pitch at which healing.hours_per_step is given
 
 
@@ -201,7 +203,7 @@ class Outcome(Table):
 
 
 class Mesh(Table):
-    """Target edge lengths of the mesh: far from the cavity and at it."""
+    """Target edge lengths of the mesh: far from the cavity and at it; in three dimensions 5 and 2 mm by default."""
 
     edge_mm: Positive = 3.0
     cavity_edge_mm: Positive = 1.0
@@ -230,7 +232,7 @@ class LumpectomyCase(Table):
     """The main job: from an image and a planned lumpectomy to the healed shape."""
 
     kind: Literal["lumpectomy"] = "lumpectomy"
-    dimension: Literal[2] = 2
+    dimension: Literal[2, 3] = 2
     image: Image
     tissue: Tissue = Tissue()
     resection: Resection = Resection()
@@ -245,6 +247,23 @@ class LumpectomyCase(Table):
     def seed(self) -> int:
         """Seed of the random numbers."""
         return self.run.seed
+
+    @model_validator(mode="before")
+    @classmethod
+    def _edges_of_a_solid(cls, tables: Any) -> Any:
+        """Fill in what a mesh of three dimensions has by default."""
+        if isinstance(tables, Mapping) and tables.get("dimension") == 3:
+            given = tables.get("mesh", {})
+            if isinstance(given, Mapping):
+                return {**tables, "mesh": {**SOLID_EDGES_MM, **given}}
+        return tables
+
+    @model_validator(mode="after")
+    def _a_solid_has_no_plane(self) -> LumpectomyCase:
+        for key in ("plane", "slice_mm"):
+            if self.dimension == 3 and key in self.image.model_fields_set:
+                raise fault(f"image.{key}", "belongs to dimension = 2, where a section is cut; leave it out")
+        return self
 
     @model_validator(mode="after")
     def _cycle_holds_a_step(self) -> LumpectomyCase:
