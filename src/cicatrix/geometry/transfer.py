@@ -114,7 +114,7 @@ def locate_lattice(positions: np.ndarray, lattice: Lattice, box: np.ndarray) -> 
     for start in range(0, len(corners), PIECES_AT_ONCE):
         piece, index, weights = _sites_in(corners[start : start + PIECES_AT_ONCE], lattice.shape)
         at = lattice.position(index)
-        site = np.ravel_multi_index(tuple(index.T), lattice.shape)
+        site = np.asarray(np.ravel_multi_index(tuple(index.T), lattice.shape))
         new = np.flatnonzero((element[site] == OUTSIDE) & ((at >= box[0]) & (at <= box[1])).all(axis=1))
         _, first = np.unique(site[new], return_index=True)  # a site on a face has one element: the first
         new, number = new[first], start + piece[new[first]]
