@@ -120,7 +120,7 @@ def _shaded(ax: Axes, planned: SolidPlan, x: np.ndarray, colours: np.ndarray, vi
     triangles = planned.triangles[planned.on_skin]
     normals = area_vectors(x, triangles)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
-    light = 0.45 + 0.55 * np.clip(normals @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
+    light = 0.6 + 0.4 * np.clip(normals @ (LIGHT / np.linalg.norm(LIGHT)), 0.0, 1.0)
     seen = _seen(x, view, side)
     order = np.argsort(seen[triangles, 2].mean(axis=1))
     shown = np.clip(np.broadcast_to(colours, (len(triangles), 3)) * light[:, None], 0.0, 1.0)[order]
@@ -162,7 +162,9 @@ def closure_figure(
             left.contour(
                 positions[..., 0], positions[..., 1], is_open.astype(float), [0.5], colors=[colour], linewidths=1
             )
-    left.set_title(f"{title}: axial layer at {positions[0, 0, 2]:.0f} mm, unloaded", fontsize=9)
+    near = positions[fronts[0]]
+    left.set(xlim=(near[:, 0].min() - 3, near[:, 0].max() + 3), ylim=(near[:, 1].min() - 3, near[:, 1].max() + 3))
+    left.set_title(f"{title}: axial layer at z = {positions[0, 0, 2]:.0f} mm, unloaded", fontsize=9)
     _dress(left, "axial", None)
     closure_curves(right, rows)
     return figure

@@ -197,9 +197,9 @@ def _filled(
     radius: float,
     notes: tuple[str, ...] = (),
 ) -> SolidPlan:
-    """Join mesh and tissue to the intact body: what is not skin is held."""
+    """Join mesh and tissue to the intact body: outer faces carry skin, or are held."""
     held = np.unique(space.facet_nodes(np.flatnonzero(border != Border.SKIN)))
-    frame = Frame(space, np.zeros(0, int), held)
+    frame = Frame(space, np.flatnonzero(border == Border.SKIN), held)
     return SolidPlan(
         intact=intact_body(case, frame, tissue),
         tissue=tissue,
