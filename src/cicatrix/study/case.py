@@ -11,10 +11,14 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from ..core.units import days_from_hours
-from ..healing.rates import CELL_UM, HOURS_PER_STEP, LAYER_UM, MOTILITY_SUBSTEPS, P_EDGE, P_LAYER
+from ..core.errors import InputError
+from ..core.units import days_from_hours, mm_from_um
+from ..geometry.hexgrid import Lattice
+from ..healing.rates import CELL_UM, HOURS_PER_STEP, LAYER_UM, MOTILITY_SUBSTEPS, P_EDGE, P_LAYER, rules_at_pitch
+from ..healing.rules import AutomatonRules
 from .limits import (
     Ascending,
     Integer,
@@ -27,6 +31,7 @@ from .limits import (
     fault,
     limits,
 )
+from .sites import box_around, too_many
 
 Position = Literal["prone", "supine", "upright"]
 SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # what a mesh of three dimensions has by default
@@ -247,6 +252,41 @@ class LumpectomyCase(Table):
     def seed(self) -> int:
         """Seed of the random numbers."""
         return self.run.seed
+
+    def rules(self) -> AutomatonRules:
+        """What a cell does in one step, at this pitch.
+
+        Raises
+        ------
+        InputError
+            If the rates make no rules at this pitch.
+        """
+        h = self.healing
+        return rules_at_pitch(
+            h.pitch_um,
+            p_edge=h.p_edge,
+            p_layer=h.p_layer,
+            layer_um=h.layer_um,
+            motility_substeps=h.motility_substeps,
+            redistribution=h.redistribution,
+            feedback=h.feedback if self.coupling.mode == "two-way" else 0.0,
+            min_free_neighbours=max(1, h.contact_inhibition),
+        )
+
+    @model_validator(mode="after")
+    def _sites_fit_into_memory(self) -> LumpectomyCase:
+        """Refuse at once what the lattice over the resection's ball, not yet deformed, would need."""
+        if self.dimension == 2:
+            return self
+        pitch_um, ball = self.healing.pitch_um, self.resection.radius_mm * np.array([[-1.0] * 3, [1.0] * 3])
+        try:
+            box = box_around(ball, self.rules(), pitch_um)
+            reason = too_many(Lattice.covering(box[0], box[1], mm_from_um(pitch_um)), pitch_um)
+        except InputError:
+            return self  # told when it is run, with the reason
+        if reason:
+            raise fault("healing.pitch_um", reason)
+        return self
 
     @model_validator(mode="before")
     @classmethod

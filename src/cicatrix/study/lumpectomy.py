@@ -13,16 +13,12 @@ from ..coupling.deposition import Deposition
 from ..geometry.hexgrid import Lattice
 from ..geometry.transfer import OUTSIDE, SiteMap, locate_lattice, locate_sites
 from ..healing.automaton import Automaton
-from ..healing.rates import rules_at_pitch
-from ..healing.rules import AutomatonRules
 from ..mechanics.equilibrium import Equilibrium
 from .case import LumpectomyCase
 from .plans import Anatomy, Plan
 from .section_plan import plan_section, section_from_arrays
+from .sites import box_around, too_many
 from .solid_plan import plan_solid, solid_from_arrays
-
-MOST_SITES = 30_000_000  # of a solid: a run on so many takes about 1.5 GB for them alone
-FEWER = 0.9  # of them, when a coarser pitch is proposed
 
 
 def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
@@ -59,7 +55,7 @@ def lattice_on(case: LumpectomyCase, planned: Plan, X: np.ndarray) -> tuple[Auto
     Raises
     ------
     InputError
-        If it would have more than ``MOST_SITES`` sites.
+        If it would have more sites than fit into memory.
     """
     space = planned.intact.frame.space
     lattice, box = _lattice(case, planned, X)
@@ -67,41 +63,22 @@ def lattice_on(case: LumpectomyCase, planned: Plan, X: np.ndarray) -> tuple[Auto
     sites = locate_lattice(nodes, lattice, box) if is_solid else locate_sites(nodes[..., :2], _places(lattice))
     fillable = (sites.element != OUTSIDE).reshape(lattice.shape)
     is_open = np.append(planned.cavity, False)[sites.element].reshape(lattice.shape)
-    return Automaton(lattice, fillable, is_open, _rules(case), case.run.seed), sites
+    return Automaton(lattice, fillable, is_open, case.rules(), case.run.seed), sites
 
 
 def _lattice(case: LumpectomyCase, planned: Plan, X: np.ndarray) -> tuple[Lattice, np.ndarray]:
     """Lattice over the cavity with its active layer, and the box that it covers (2, n_axes) [mm]."""
-    space, rules, pitch = planned.intact.frame.space, _rules(case), mm_from_um(case.healing.pitch_um)
+    space, pitch_um = planned.intact.frame.space, case.healing.pitch_um
     around = X[space.shape_nodes[planned.cavity]].reshape(-1, 3)[:, : space.n_axes]
-    margin = (rules.layer_sites + 3 * rules.motility_substeps + 4) * pitch
-    box = np.stack([around.min(axis=0) - margin, around.max(axis=0) + margin])
-    lattice = Lattice.covering(box[0], box[1], pitch)
-    if space.n_axes == 3 and lattice.n_sites > MOST_SITES:
-        fits = case.healing.pitch_um * np.cbrt(lattice.n_sites / (FEWER * MOST_SITES))
-        raise InputError(
-            f"healing.pitch_um = {case.healing.pitch_um:g} puts {lattice.n_sites:.2g} sites over the cavity; "
-            f"at most {MOST_SITES:.1g} fit into memory: take at least {5 * np.ceil(fits / 5):.0f}."
-        )
+    box = box_around(around, case.rules(), pitch_um)
+    lattice = Lattice.covering(box[0], box[1], mm_from_um(pitch_um))
+    if reason := too_many(lattice, pitch_um):
+        raise InputError(f"healing.pitch_um {reason}.")
     return lattice, box
 
 
 def _places(lattice: Lattice) -> np.ndarray:
     return lattice.positions().reshape(-1, lattice.ndim)
-
-
-def _rules(case: LumpectomyCase) -> AutomatonRules:
-    h = case.healing
-    return rules_at_pitch(
-        h.pitch_um,
-        p_edge=h.p_edge,
-        p_layer=h.p_layer,
-        layer_um=h.layer_um,
-        motility_substeps=h.motility_substeps,
-        redistribution=h.redistribution,
-        feedback=h.feedback if case.coupling.mode == "two-way" else 0.0,
-        min_free_neighbours=max(1, h.contact_inhibition),
-    )
 
 
 def healing_cycle(
