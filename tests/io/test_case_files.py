@@ -155,6 +155,12 @@ def test_one_fault_of_a_solid_one_sentence(name, write):
     assert check_case(write(SOLID + lines + pitch + FORTNIGHT)) == [sentence]
 
 
+def test_an_image_is_no_mirror_image(write):
+    words = "must be three letters of L or R, A or P, S or I, where x, y and z lead, and no mirror image"
+    assert check_case(write(PHANTOM + 'axes = "LPI"')) == [f'image.axes {words}; got "LPI"']
+    assert check_case(write(PHANTOM + 'axes = "RIA"')) == []
+
+
 def test_a_solid_has_coarser_elements_by_default(write):
     case = load_case(write(SOLID + "[healing]\npitch_um = 200\n[mesh]\nedge_mm = 6\n" + FORTNIGHT))
     assert (case.mesh.edge_mm, case.mesh.cavity_edge_mm) == (6, 2)

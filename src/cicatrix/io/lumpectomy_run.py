@@ -53,14 +53,19 @@ def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[
             )
             tumour = truth.position(np.argwhere(truth.values == Label.TUMOUR).mean(axis=0))
         elif image.path is not None:
-            picture = read_image(image.path)
+            picture = _turned(read_image(image.path), image.axes)
     with progress.stage("segment"):
         if image.labels is not None:
-            found = from_labels(read_labels(image.labels))
+            found = from_labels(_turned(read_labels(image.labels), image.axes))
         else:
             centre = case.resection.centre_mm if tumour is None else tuple(tumour.tolist())
             found = _segment(case, picture, centre, progress)
     return Anatomy(picture, found.labels, found.probabilities, tumour), found.notes
+
+
+def _turned(volume: Volume, axes: str | None) -> Volume:
+    """The volume as the case says that it lies, where the file is wrong."""
+    return volume if axes is None else volume.from_axes(axes)
 
 
 def _segment(

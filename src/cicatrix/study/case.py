@@ -17,6 +17,7 @@ from pydantic import BaseModel, ConfigDict, model_validator
 from ..core.errors import InputError
 from ..core.units import days_from_hours, mm_from_um
 from ..geometry.hexgrid import Lattice
+from ..geometry.volume import AXES
 from ..healing.rates import CELL_UM, HOURS_PER_STEP, LAYER_UM, MOTILITY_SUBSTEPS, P_EDGE, P_LAYER, rules_at_pitch
 from ..healing.rules import AutomatonRules
 from .limits import (
@@ -77,6 +78,7 @@ class Image(Table):
     weighting: Literal["t1", "t1-fatsat"] = "t1"
     position: Position = "prone"
     side: Literal["left", "right"] = "left"
+    axes: str | None = None  # where the file's x, y, z lead, such as "RIA", if it says so wrongly
     plane: Literal["axial", "sagittal"] = "axial"
     slice_mm: Number | None = None
     labels: Path | None = None
@@ -86,6 +88,9 @@ class Image(Table):
     def _one_origin(self) -> Image:
         if self.path is not None and self.phantom is not None:
             raise fault("phantom", "and path exclude each other: give one of the two")
+        if self.axes is not None and self.axes not in AXES:
+            words = "must be three letters of L or R, A or P, S or I, where x, y and z lead, and no mirror image"
+            raise fault("axes", f'{words}; got "{self.axes}"')
         if self.phantom is not None and self.labels is not None:
             raise fault("labels", "and phantom exclude each other: the phantom knows its own labels")
         if self.path is None and self.phantom is None and self.labels is None:
