@@ -40,6 +40,14 @@ def boundary(tetrahedra: np.ndarray) -> np.ndarray:
     return faces[np.sort(first[count == 1])]
 
 
+def neighbours(tetrahedra: np.ndarray) -> np.ndarray:
+    """Tetrahedra that share a face: (m, 4 or 10) -> (2, n_inner_faces)."""
+    faces = np.sort(tetrahedra[:, FACES[:, :3]].reshape(-1, 3), axis=1)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    return np.sort(np.stack([order[:-1][same], order[1:][same]]) // 4, axis=0)
+
+
 def unmirrored(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     """Turn a mesh that is written as its mirror image; other meshes stay as they are: (m, 4 or 10) -> the same."""
     all_turned = (volumes(points, tetrahedra) < 0.0).all()

@@ -39,14 +39,14 @@ COMPILER = {"xla_cpu_use_fusion_emitters": False}
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What never changes while a body deforms and heals: space, skin edges, fixed nodes, pattern.
+    """What never changes while a body deforms and heals: space, skin, fixed nodes, pattern.
 
     Parameters
     ----------
     space : Space or SolidSpace
         Nodes and elements.
-    skin_facets : (n_edges,) int array
-        Mesh edges that carry the skin membrane; none in a solid yet.
+    skin_facets : (n_facets,) int array
+        What carries the skin membrane: edges of a section's mesh, boundary faces of a solid by their numbers.
     fixed_nodes : (n,) int array
         Nodes held at their place (chest wall).
     """
@@ -57,7 +57,7 @@ class Frame:
 
     @cached_property
     def skin_nodes(self) -> np.ndarray:
-        """Nodes of the skin edges (n_edges, 3)."""
+        """Nodes of the skin: edges of a section (n_facets, 3), faces of a solid (n_facets, 6)."""
         return self.space.facet_nodes(self.skin_facets)
 
     @cached_property
@@ -89,7 +89,7 @@ class Body:
     Parameters
     ----------
     frame : Frame
-        Space, skin edges, fixed nodes.
+        Space, skin, fixed nodes.
     law : EnergyMaterial
         Constitutive law; parameters are numbers or (n_elements, n_qp) arrays.
     density : (n_elements, n_qp) array [kg/mm^3]
@@ -98,10 +98,12 @@ class Body:
         Share of each element that is tissue; an element at 0 is out of the mechanics altogether.
     skin : EnergyMaterial
         Law of the skin membrane.
-    skin_thickness : (n_edges,) array [mm]
+    skin_thickness : (n_facets,) array [mm]
         0 where there is no skin.
     wrinkling_strain : float [1]
-        Shortening at which the skin wrinkles and bears no more.
+        Shortening at which the skin wrinkles and bears no more (:func:`.elements.membrane_energy`). In a solid the push N that
+        it still bears, at most its modulus times this times the thickness, buckles it on the mesh where waves shorter than
+        about pi N / mu, mu of the tissue below, can be told: choose it so small that they cannot.
     """
 
     frame: Frame

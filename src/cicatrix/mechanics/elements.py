@@ -35,11 +35,11 @@ class Bulk(NamedTuple):
 
 
 class Membrane(NamedTuple):
-    """Skin: an incompressible membrane along boundary edges."""
+    """Skin: an incompressible membrane along boundary edges of a section, on boundary faces of a solid."""
 
     law: EnergyMaterial
     thickness: Array
-    """Reference thickness (n_edges,) [mm]."""
+    """Reference thickness (n_facets,) [mm]."""
     wrinkling_strain: Array
     """Shortening at which it wrinkles [1]."""
 
@@ -305,11 +305,21 @@ def _point_derivatives(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Ar
 
 
 def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    r"""Strain energy per depth of each skin edge: X, x (n, 3, 3) [mm] -> (n,) [mN]; its thickness keeps the volume.
+    """Strain energy of each piece of skin: a section's edges X, x (n, 3, 3) [mm], a solid's faces (n, 6, 3) [mm] -> (n,) [mN].
 
-    A stiff film on soft tissue wrinkles when it is shortened by more than a small strain, and then bears no more than
-    the load at which it wrinkled (Allen 1969). Wrinkles are finer than the mesh, so this is the energy averaged over them:
-    the law's own where the edge is stretched; where it is shortened by :math:`\epsilon`, :math:`k \epsilon_w [\epsilon -
+    Its thickness keeps the volume. A stiff film on soft tissue wrinkles when it is shortened by more than a small strain,
+    and then bears no more than the load at which it wrinkled (Allen 1969). Wrinkles are finer than the mesh, so this is the
+    energy averaged over them.
+    """
+    density = _edge_energy if table.gradient.shape[-1] == 1 else _face_energy
+    extent, W = density(X, x, membrane, table)
+    return membrane.thickness * jnp.sum(table.weight * extent * W, axis=-1)
+
+
+def _edge_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
+    r"""Length over that of the reference edge [mm] and energy density [kPa]: X, x (n, 3, 3) [mm] -> (n, n_qp), (n, n_qp).
+
+    The law's own where the edge is stretched; where it is shortened by :math:`\epsilon`, :math:`k \epsilon_w [\epsilon -
     \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`, whose stress starts with the law's modulus k and ends at
     :math:`k \epsilon_w`. It is smooth, and its tangent never negative.
     """
@@ -318,11 +328,72 @@ def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Arr
     length = jnp.sqrt(X_s[..., 0] ** 2 + X_s[..., 1] ** 2)
     stretch = jnp.sqrt(x_s[..., 0] ** 2 + x_s[..., 1] ** 2) / length
     shear = (x_s[..., 2] - X_s[..., 2]) / length
-    shortening = jnp.maximum(1.0 - stretch, 0.0)
-    limit = membrane.wrinkling_strain
-    wrinkles = film_modulus(membrane.law) * limit * (shortening + limit * jnp.expm1(-shortening / limit))
-    W = membrane.law.energy(film(jnp.maximum(stretch, 1.0), shear)) + wrinkles
-    return membrane.thickness * jnp.sum(table.weight * length * W, axis=-1)
+    energy, _ = wrinkled(jnp.maximum(1.0 - stretch, 0.0), membrane.wrinkling_strain)
+    return length, membrane.law.energy(film(jnp.maximum(stretch, 1.0), shear)) + film_modulus(membrane.law) * energy
+
+
+def _face_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
+    r"""Area over that of the reference face [mm^2] and energy density [kPa]: X, x (n, 6, 3) [mm] -> (n, n_qp), (n, n_qp).
+
+    With :math:`e_1 \ge e_2` the logarithms of the principal stretches, a tension field (Pipkin 1986) that bears a little
+    compression:
+
+    .. math:: \Psi(a_1, a_2) + k \, [f(n) + f(p) + f'(n) f'(p) / 2], \qquad
+        f(p) = \epsilon_w [p - \epsilon_w (1 - e^{-p/\epsilon_w})]
+
+    :math:`a_1 = \max(e_1, 0)` and :math:`a_2 = \max(e_2, -a_1/2)` is what the law sees: a film pulled one way is slack when
+    it is narrower than it would be in simple tension. :math:`p = \max(-a_1/2 - e_2, 0)` is what it is shortened beyond that,
+    :math:`n = \max(-e_1, 0)` what it is shortened the other way too. At rest the second derivatives agree on all sides, those
+    of the first kind everywhere; the energy is convex in the principal stretches. Against being
+    shortened, one way or both, the film pushes with a Kirchhoff stress of :math:`k \epsilon_w` at most.
+    """
+    X_map, x_map = (jnp.einsum("eai,qab->eqib", y, table.gradient) for y in (X, x))
+    area, e = principal_strains(X_map, x_map)
+    pulled = jnp.maximum(e[0], 0.0)
+    across = jnp.maximum(e[1], -0.5 * pulled)
+    both = [wrinkled(jnp.maximum(d, 0.0), membrane.wrinkling_strain) for d in (-e[0], -0.5 * pulled - e[1])]
+    wrinkles = both[0][0] + both[1][0] + 0.5 * both[0][1] * both[1][1]
+    return area, membrane.law.energy(sheet(jnp.exp(pulled), jnp.exp(across))) + film_modulus(membrane.law) * wrinkles
+
+
+def wrinkled(shortening: Array, limit: Array) -> tuple[Array, Array]:
+    """Energy and pull of a wrinkling film over its modulus, 0 and the shortening at first: (...) [1] -> (...), (...) [1]."""
+    pull = -limit * jnp.expm1(-shortening / limit)
+    return limit * (shortening - pull), pull
+
+
+NEARLY_EQUAL = 1e-8  # difference of squared principal stretches, over their mean, below which they are not told apart
+
+
+def principal_strains(X_map: Array, x_map: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Area over that of the reference face [mm^2], logarithms of the principal stretches, the larger first [1].
+
+    X_map, x_map (..., 3, 2) [mm]: derivatives of position by the face's local axes. A function of the two strains that is
+    symmetric has exact first derivatives; second ones to about 1e-8 where the stretches are equal, since their difference is
+    kept from 0 there.
+    """
+    (G11, G12, G22), (g11, g12, g22) = _metric(X_map), _metric(x_map)
+    area2, lean = G11 * G22 - G12**2, G12 / G11
+    # right Cauchy-Green tensor in axes that are orthonormal in the reference, the first along the first tangent
+    C11 = g11 / G11
+    C12 = (g12 - lean * g11) / jnp.sqrt(area2)
+    C22 = (g22 - 2.0 * lean * g12 + lean**2 * g11) * G11 / area2
+    mean = 0.5 * (C11 + C22)
+    radius = jnp.sqrt((0.5 * (C11 - C22)) ** 2 + C12**2 + (NEARLY_EQUAL * mean) ** 2)
+    larger = 0.5 * jnp.log(mean + radius)
+    both = 0.5 * jnp.log((g11 * g22 - g12**2) / area2)
+    return jnp.sqrt(area2), (larger, both - larger)
+
+
+def _metric(tangents: Array) -> tuple[Array, Array, Array]:
+    """Products of two tangents (..., 3, 2) [mm] with each other: 11, 12, 22 [mm^2]."""
+    a, b = tangents[..., 0], tangents[..., 1]
+    return jnp.sum(a * a, axis=-1), jnp.sum(a * b, axis=-1), jnp.sum(b * b, axis=-1)
+
+
+def sheet(one: Array, other: Array) -> Array:
+    """Deformation gradient (..., 3, 3) of an incompressible film stretched along two axes of its own (...) [1]."""
+    return jnp.stack([one, other, 1.0 / (one * other)], axis=-1)[..., None] * jnp.eye(3)
 
 
 def film(stretch: Array, shear: Array) -> Array:
@@ -347,7 +418,7 @@ def wrinkling_strain(E_film: float, E_below: float) -> float:
 
 
 def membrane_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    """Forces per depth of the skin on the nodes: X, x (n, 3, 3) [mm] -> (n, 3, 3) [mN/mm]."""
+    """Forces per depth of the skin on the nodes: X, x (n, 3 or 6, 3) [mm] -> the same shape [mN/mm]."""
     return jax.grad(lambda y: jnp.sum(membrane_energy(X, y, membrane, table)))(x)
 
 

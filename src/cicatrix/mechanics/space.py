@@ -9,7 +9,7 @@ import numpy as np
 import skfem
 from skfem.quadrature import get_quadrature
 
-from ..geometry.tetrahedra import boundary
+from ..geometry.tetrahedra import boundary, neighbours
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,26 @@ class Space:
         """Bubble node of each triangle (n_elements,)."""
         return self._dofs.interior_dofs[0]
 
+    @property
+    def n_axes(self) -> int:
+        """Axes that the elements lie in."""
+        return 2
+
+    @property
+    def shape_nodes(self) -> np.ndarray:
+        """Nodes at which each triangle is (n_elements, 6): all but the bubble; they are the first ``n_shape_nodes``."""
+        return self.element_nodes[:, :6]
+
+    @property
+    def n_shape_nodes(self) -> int:
+        """Number of nodes that are places."""
+        return int(self.bubbles[0])
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """Elements on both sides of each inner edge (2, n_edges)."""
+        return self.mesh.f2t[:, self.mesh.f2t[1] >= 0]
+
 
 @dataclass(frozen=True, eq=False)
 class SolidSpace:
@@ -171,3 +191,23 @@ class SolidSpace:
     def facet_nodes(self, facets: np.ndarray) -> np.ndarray:
         """Nodes of boundary faces by their numbers (n,) -> (n, 6)."""
         return self.boundary[facets]
+
+    @property
+    def n_axes(self) -> int:
+        """Axes that the elements lie in."""
+        return 3
+
+    @property
+    def shape_nodes(self) -> np.ndarray:
+        """Nodes at which each tetrahedron is (n_elements, 10): all of them."""
+        return self.element_nodes
+
+    @property
+    def n_shape_nodes(self) -> int:
+        """Number of nodes that are places."""
+        return self.n_nodes
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """Elements on both sides of each inner face (2, n_faces)."""
+        return neighbours(self.element_nodes)
