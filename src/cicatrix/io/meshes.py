@@ -10,8 +10,10 @@ import meshio
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.units import density_kg_mm3, mm_from
+from ..core.units import density_kg_m3, density_kg_mm3, mm_from
+from ..geometry.meshing3d import BodyMesh
 from ..geometry.tetrahedra import check, unmirrored
+from .fields import write_vtu
 
 CELLS = {"tetra": 4, "tetra10": 10}
 SURFACES = ("vertex", "line", "line3", "triangle", "triangle6")  # what mesh generators write beside the tetrahedra
@@ -64,6 +66,13 @@ def read_body(path: Path, unit: str) -> MeshedBody:
         return _body(mesh, unit)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
+
+
+def write_body(path: Path, mesh: BodyMesh, E: np.ndarray, nu: np.ndarray, density: np.ndarray) -> None:
+    """Write what ``read_body`` reads: a mesh with E [kPa], nu [1] and density [kg/mm^3] of its tetrahedra (m,)."""
+    tissue = {"youngs_modulus_kPa": E, "poisson_ratio": nu, "density_kg_m3": density_kg_m3(density)}
+    is_fixed = np.isin(np.arange(len(mesh.nodes)), mesh.held_nodes)
+    write_vtu(path, mesh.nodes, mesh.tetrahedra, {"fixed": is_fixed}, tissue)
 
 
 def _body(mesh: meshio.Mesh, unit: str) -> MeshedBody:

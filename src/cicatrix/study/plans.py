@@ -18,6 +18,7 @@ from ..mechanics.elements import wrinkling_strain
 from ..mechanics.space import SolidSpace, Space
 from ..outcome.change import ShapeChange
 from .case import LumpectomyCase
+from .case import Tissue as TissueTable
 
 # which way is down, as LPS components, for each position of the patient
 DOWN = {"upright": (0.0, 0.0, -1.0), "prone": (0.0, -1.0, 0.0), "supine": (0.0, 1.0, 0.0)}
@@ -160,12 +161,12 @@ def quadrature_points(space: Space | SolidSpace) -> np.ndarray:
     return np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
 
 
-def tissue_at(case: LumpectomyCase, anatomy: Anatomy, points: np.ndarray) -> Tissue:
+def tissue_at(table: TissueTable, anatomy: Anatomy, points: np.ndarray) -> Tissue:
     """Mix constants by probability at points (..., 3) LPS [mm]; skin weighs there, but bears load as a membrane."""
     shares = np.moveaxis(anatomy.probabilities.sample(points), 0, -1)
     shares[..., TISSUES.index(Label.FAT)] += 1e-3  # where there is nothing at all
     bearing = np.where(np.array(TISSUES) == Label.SKIN, 0.0, shares)
-    parts = [getattr(case.tissue, label.name.lower()) for label in TISSUES]
+    parts = [getattr(table, label.name.lower()) for label in TISSUES]
     mu, kappa = _mean(bearing, np.array([moduli_from_young(p.E_kPa, p.nu) for p in parts]))
     (density,) = _mean(shares, np.array([[density_kg_mm3(p.density_kg_m3)] for p in parts]))
     return Tissue(mu, kappa, density)

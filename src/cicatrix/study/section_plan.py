@@ -129,7 +129,7 @@ def plan_section(case: LumpectomyCase, anatomy: Anatomy) -> SectionPlan:
     )
     mesh = label_borders(mesh, _is_wall(anatomy.labels, section, raster))
     points = section.to_patient(quadrature_points(Space(mesh))[..., :2])
-    return _filled(case, section, mesh, tissue_at(case, anatomy, points), centre, radius)
+    return _filled(case, section, mesh, tissue_at(case.tissue, anatomy, points), centre, radius)
 
 
 def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SectionPlan:

@@ -130,7 +130,7 @@ def plan_solid(case: LumpectomyCase, anatomy: Anatomy) -> SolidPlan:
         cavity_edge_mm=case.mesh.cavity_edge_mm,
     )
     space = SolidSpace(*with_middles(mesh.nodes, mesh.tetrahedra))
-    tissue = tissue_at(case, anatomy, quadrature_points(space))
+    tissue = tissue_at(case.tissue, anatomy, quadrature_points(space))
     is_cavity = mesh.region == Region.CAVITY
     return _filled(case, mesh.nodes, space, is_cavity, mesh.marker, tissue, centre, radius, _notes(mesh))
 
