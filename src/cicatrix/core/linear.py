@@ -12,7 +12,7 @@ from .factors import Factor, Factorisation, Kind, factorisation
 
 MOST_STEPS = 60  # with a factor
 STALE_STEPS = 25  # a factor with which it took more is replaced before the next solve
-PROBE_STEPS = 10  # of Lanczos' method in search of a negative eigenvalue
+PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
 
 
 class LinearSolver:

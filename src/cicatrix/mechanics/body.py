@@ -199,7 +199,7 @@ class Body:
         data, rates = pattern.zeros(), VolumeRates.empty(*J_bar.shape, 3 * cells.shape[1])
         for piece, done in _pieces(len(cells)):
             part = linearise(X[cells[piece]], x[cells[piece]], J_bar[piece], _part(bulk, piece, len(cells)))
-            pattern.add(data, 0, piece.start + done, np.asarray(part.stiffness)[done:])
+            pattern.add_contracted(data, 0, piece.start + done, [np.asarray(factor)[done:] for factor in part[:4]])
             rates.force_rate[piece], rates.volume_rate[piece] = part.force_rate, part.volume_rate
         pattern.add(data, 1, 0, np.asarray(skin))
         diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)

@@ -183,10 +183,19 @@ def _mean_stress(law: EnergyMaterial, F: Array, J_bar: Array) -> Array:
 
 
 class Linearised(NamedTuple):
-    """First order of ``bulk_force`` about (u, J_bar), u the positions x or X, with J_bar then tied to them again."""
+    """First order of ``bulk_force`` about (u, J_bar), u the positions x or X, with J_bar then tied to them again.
 
-    stiffness: Array
-    """Change of force by du, J_bar along with it (n, 3a, 3a) [mN/mm^2]."""
+    Element matrices are left as what they are contracted from, :func:`..core.native.add_contracted`.
+    """
+
+    slopes: Array
+    """B, gradients of the shape functions along the element's axes (n, n_qp, a, n_axes) [1/mm]."""
+    tangent: Array
+    """Tangent of each point times its weight (n, n_qp, 3, n_axes, 3, n_axes)."""
+    columns: Array
+    """Left factors of what is of rank one at each point (n, m, 3a)."""
+    rows: Array
+    """Right factors (n, m, 3a)."""
     force_rate: Array
     """Change of force by J_bar at each quadrature point (n, n_qp, 3a) [mN/mm]."""
     volume_rate: Array
@@ -231,28 +240,16 @@ def _to_nodes(B: Array, P: Array) -> Array:
     return jnp.einsum("eqaJ,eqiJ->eqai", B, P).reshape(*B.shape[:2], -1)
 
 
-def _sandwich(B: Array, A: Array) -> Array:
-    """Sum of B A B over quadrature points: A (n, n_qp, 3, axes, 3, axes) -> (n, 3a, 3a)."""
-    n, _, a, _ = B.shape
-    K = jnp.einsum("eqaJ,eqJikb->eaikb", B, jnp.einsum("eqiJkL,eqbL->eqJikb", A, B))
-    return jnp.swapaxes(K, -1, -2).reshape(n, 3 * a, 3 * a)
-
-
-def _outer(left: Array, right: Array) -> Array:
-    """Sum over quadrature points of columns times rows: (n, n_qp, 3a), (n, n_qp, 3a) -> (n, 3a, 3a)."""
-    return jnp.swapaxes(left, 1, 2) @ right
-
-
 def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Linearised:
-    """By x: point tangents contracted to element matrices.
+    """By x.
 
-    ``tangent`` of ``tied_force`` by x is the slow twin where J_bar = J_bar(x).
+    ``tangent`` of ``tied_force`` by x is the slow twin of its contraction where J_bar = J_bar(x).
     """
     r = _rates(X, x, J_bar, bulk, table)
-    K = _sandwich(r.B, r.weights[..., None, None, None] * r.P_by_F)
-    K += _outer(r.force_by_volume, r.volume_by_x)
-    K += _outer(r.weights * r.volume_by_x, _to_nodes(r.B, r.mean_by_F))
-    return Linearised(K, r.force_by_volume, _where_tissue(bulk, r.volume_by_x))
+    columns = jnp.concatenate([r.force_by_volume, r.weights * r.volume_by_x], axis=1)
+    rows = jnp.concatenate([r.volume_by_x, _to_nodes(r.B, r.mean_by_F)], axis=1)
+    tangent = r.weights[..., None, None, None] * r.P_by_F
+    return Linearised(r.B, tangent, columns, rows, r.force_by_volume, _where_tissue(bulk, r.volume_by_x))
 
 
 def linearised_reference(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, table: Table) -> Linearised:
@@ -267,19 +264,23 @@ def linearised_reference(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: 
     swept = _to_nodes(r.B, jnp.broadcast_to(along.T, r.P.shape))  # tr H
     A = -jnp.einsum("eqiJmL,eqmk->eqiJkL", r.P_by_F, r.F)
     A += jnp.einsum("eqiJ,Lk->eqiJkL", r.P, along) - jnp.einsum("eqiL,Jk->eqiJkL", r.P, along)
-    K = _sandwich(r.B, r.weights[..., None, None, None] * A)
     J = det(r.F)
     as_it_is, _ = r.smoothing.split(swept)
     mean_only = r.smoothing.split(r.smoothing.projected(J)[..., None] * swept)[1]
     volume_rate = -(J[..., None] * as_it_is + mean_only)
-    K += _outer(r.force_by_volume, volume_rate)
     excess = r.mean - r.smoothing.projected(r.mean)
     by_projection = r.smoothing.split(_to_nodes(r.B, cofactor(r.F)[..., :axes]))[1]
-    K += _outer(r.weights * by_projection, excess[..., None] * swept)
-    K -= _outer(r.weights * r.volume_by_x, _to_nodes(r.B, jnp.einsum("eqiJ,eqik->eqkJ", r.mean_by_F, r.F)))
+    by_mean = _to_nodes(r.B, jnp.einsum("eqiJ,eqik->eqkJ", r.mean_by_F, r.F))
     weight = (table.value[:, :, None] * gravity).reshape(len(table.value), -1)
-    K -= _outer(r.weights * bulk.density[..., None] * weight, swept)
-    return Linearised(K, r.force_by_volume, _where_tissue(bulk, volume_rate))
+    pairs = [
+        (r.force_by_volume, volume_rate),
+        (r.weights * by_projection, excess[..., None] * swept),
+        (-r.weights * r.volume_by_x, by_mean),
+        (-r.weights * bulk.density[..., None] * weight, swept),
+    ]
+    columns, rows = (jnp.concatenate(side, axis=1) for side in zip(*pairs))
+    tangent = r.weights[..., None, None, None] * A
+    return Linearised(r.B, tangent, columns, rows, r.force_by_volume, _where_tissue(bulk, volume_rate))
 
 
 def _where_tissue(bulk: Bulk, rate: Array) -> Array:
