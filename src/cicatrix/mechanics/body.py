@@ -22,7 +22,6 @@ from .elements import (
     deformation_gradient,
     dilation,
     facet_force,
-    facet_tangent,
     kept_share,
     linearised,
     linearised_reference,
@@ -136,7 +135,8 @@ class Body:
         it still bears, at most its modulus times this times the thickness, buckles it on the mesh where waves shorter than
         about pi N / mu, mu of the tissue below, can be told: choose it so small that they cannot.
     pressure : (n_facets,) array [kPa], optional
-        From outside on the faces of ``frame.skin_facets`` of a solid, along their outward normal as it turns.
+        From outside on the faces of ``frame.skin_facets`` of a solid, against their outward normal as it turns. The tangent is
+        symmetric where these faces close, or end where nodes are fixed or slide along planes, and not where they end freely.
     """
 
     frame: Frame
@@ -326,7 +326,7 @@ def _forces(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane, g
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
 def _linearisations(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane):
-    skin = facet_tangent(X_edges, x_edges, membrane, tables.edge)
+    skin = tangent(lambda y: facet_force(X_edges, y, membrane, tables.edge), x_edges)
     return linearised(X_cells, x_cells, J_bar, bulk, tables.bulk), skin
 
 

@@ -438,17 +438,6 @@ def facet_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
     return membrane_force(X, x, membrane, table) + pressure_force(x, membrane, table)
 
 
-def facet_tangent(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    """Symmetric derivative of ``facet_force`` by x (n, 3a, 3a) [mN/mm^2].
-
-    That of pressure is not symmetric face by face; the rest of it cancels between faces, and on a rim that is fixed or slides
-    along a plane. Where pressure ends on a free rim the rest is left out, and Newton's method converges linearly there.
-    """
-    follows = tangent(lambda y: pressure_force(y, membrane, table), x)
-    skin = tangent(lambda y: membrane_force(X, y, membrane, table), x)
-    return skin + 0.5 * (follows + jnp.swapaxes(follows, 1, 2))
-
-
 def tangent(force, x: Array) -> Array:
     """Derivative of batched element forces by batched node positions: (n, a, 3) -> (n, 3a, 3a) [mN/mm^2].
 

@@ -233,9 +233,10 @@ class Equilibrium:
         return problem.positions(values)
 
     def _factored(self, problem: _Problem, matrix: sp.csr_array) -> LinearSolver:
-        key = (problem.inverse, problem.in_plane)
+        is_symmetric = not problem.inverse and problem.body.pressure is None
+        key = (is_symmetric, problem.in_plane)
         if key not in self._linear:
-            self._linear[key] = linear_solver(symmetric=not problem.inverse)
+            self._linear[key] = linear_solver(symmetric=is_symmetric)
         self._linear[key].factor(matrix)
         return self._linear[key]
 

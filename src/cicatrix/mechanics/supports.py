@@ -32,6 +32,7 @@ class Supports:
     def __init__(self, free: np.ndarray, sliding_nodes: np.ndarray, normals: np.ndarray, n_dofs: int) -> None:
         self._free = free
         self._axes = _axes(free, sliding_nodes, normals, n_dofs) if sliding_nodes.size else None
+        self._places: sp.csr_array | None = None
         self.n_unknowns = free.size if self._axes is None else self._axes.shape[1]
 
     def unknowns(self, x: np.ndarray) -> np.ndarray:
@@ -56,9 +57,25 @@ class Supports:
         """Turn a matrix on the free degrees of freedom (n_free, n_free) into one on the unknowns."""
         if self._axes is None:
             return matrix
-        turned = sp.csr_array(self._axes.T @ matrix @ self._axes)
+        turned = self._turn(matrix, self._axes)
+        if self._places is None:  # SciPy leaves out what happens to be 0, and a factor's pattern must not change
+            like = sp.csr_array((np.ones(matrix.nnz), matrix.indices, matrix.indptr), shape=matrix.shape)
+            self._places = self._turn(like, abs(self._axes))
+        data = np.zeros(self._places.nnz)
+        data[np.searchsorted(_keys(self._places), _keys(turned))] = turned.data
+        return sp.csr_array((data, self._places.indices, self._places.indptr), shape=turned.shape)
+
+    @staticmethod
+    def _turn(matrix: sp.csr_array, axes: sp.csr_array) -> sp.csr_array:
+        turned = sp.csr_array(axes.T @ matrix @ axes)
         turned.sort_indices()
         return turned
+
+
+def _keys(matrix: sp.csr_array) -> np.ndarray:
+    """One ascending number for each entry (nnz,)."""
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    return rows * matrix.shape[1] + matrix.indices
 
 
 def _axes(free: np.ndarray, nodes: np.ndarray, normals: np.ndarray, n_dofs: int) -> sp.csr_array:
