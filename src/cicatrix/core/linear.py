@@ -78,10 +78,6 @@ class LinearSolver:
         self._factor, self._kind = self._methods[kind].factor(matrix), kind
         self._is_stale = False
 
-    def forget(self) -> None:
-        """Let the factor's memory go."""
-        self._methods, self._factor, self._is_stale = {}, None, True
-
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on, for ``restore``; empty before the first."""
         if self._factor is None:

@@ -35,13 +35,15 @@ class Bulk(NamedTuple):
 
 
 class Membrane(NamedTuple):
-    """Skin: an incompressible membrane along boundary edges of a section, on boundary faces of a solid."""
+    """Skin: an incompressible membrane along boundary edges of a section, on boundary faces of a solid; pressure on these."""
 
     law: EnergyMaterial
     thickness: Array
     """Reference thickness (n_facets,) [mm]."""
     wrinkling_strain: Array
     """Shortening at which it wrinkles [1]."""
+    pressure: Array | float = 0.0
+    """On a solid's faces from outside, along the normal that they have now (n_facets,) [kPa]."""
 
 
 def local_map(x: Array, gradient: np.ndarray) -> Array:
@@ -421,6 +423,20 @@ def wrinkling_strain(E_film: float, E_below: float) -> float:
 def membrane_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
     """Forces per depth of the skin on the nodes: X, x (n, 3 or 6, 3) [mm] -> the same shape [mN/mm]."""
     return jax.grad(lambda y: jnp.sum(membrane_energy(X, y, membrane, table)))(x)
+
+
+def pressure_force(x: Array, membrane: Membrane, table: Table) -> Array:
+    """Internal minus external forces of pressure on a solid's faces, outward: x (n, 6, 3) [mm] -> (n, 6, 3) [mN]; 0 on edges."""
+    if table.gradient.shape[-1] == 1:
+        return jnp.zeros_like(x)
+    one, other = jnp.moveaxis(jnp.einsum("eai,qab->eqib", x, table.gradient), -1, 0)
+    load = jnp.einsum("q,qa,eqi->eai", table.weight, table.value, jnp.cross(one, other))
+    return jnp.broadcast_to(membrane.pressure, x.shape[:1])[:, None, None] * load
+
+
+def facet_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
+    """Forces of skin and pressure on the nodes: X, x (n, a, 3) [mm] -> (n, a, 3) [mN/mm]."""
+    return membrane_force(X, x, membrane, table) + pressure_force(x, membrane, table)
 
 
 def tangent(force, x: Array) -> Array:

@@ -180,8 +180,11 @@ class SolidSpace:
 
     @cached_property
     def facet_table(self) -> Table:
-        """Shape functions of a boundary face (corners, then the middles of the edges 01, 12, 02)."""
-        return tabulate(skfem.ElementTriP2(), *get_quadrature(skfem.MeshTri.elem, self.quadrature_order))
+        """Shape functions of a boundary face (corners, then the middles of the edges 01, 12, 02).
+
+        The rule is exact for pressure on a curved face; with less its forces would be those of no potential.
+        """
+        return tabulate(skfem.ElementTriP2(), *get_quadrature(skfem.MeshTri.elem, 4))
 
     @cached_property
     def boundary(self) -> np.ndarray:
