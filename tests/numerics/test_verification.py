@@ -155,7 +155,7 @@ def test_inflated_shells(shape, n, within):
 
 @pytest.mark.parametrize("shape", ["tube", "sphere"])
 def test_newton_is_quadratic_under_pressure(shape):
-    """With a fresh tangent each time, from 90 % of the pressure; norms over the first: each is less than the square of the last."""
+    """With a fresh tangent each time, from 90 % of the pressure: each norm, over the first, is below the last one squared."""
     body, _ = inflated(shape, 2)
     X = body.frame.space.positions
     x, _ = Equilibrium(1e-8).loaded(body.under(0.9), X, np.zeros(3))
@@ -289,7 +289,7 @@ def cook_large(n):
     return (x - X)[corner, 1], norms
 
 
-RISES = {2: (4.659, 4.192), 4: (6.758, 5.881), 8: (7.559, 6.533), 16: (7.864, None)}
+RISES = {2: (4.659, 4.192), 4: (6.758, 5.881), 8: (7.559, 6.533)}
 
 
 @pytest.mark.parametrize("n", [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(8, marks=pytest.mark.slow)])
