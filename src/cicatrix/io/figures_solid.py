@@ -164,7 +164,7 @@ def closure_figure(
             )
     near = positions[fronts[0]]
     left.set(xlim=(near[:, 0].min() - 3, near[:, 0].max() + 3), ylim=(near[:, 1].min() - 3, near[:, 1].max() + 3))
-    left.set_title(f"{title}: axial layer at z = {positions[0, 0, 2]:.0f} mm, unloaded", fontsize=9)
+    left.set_title(f"{title}: axial layer at z = {round(float(positions[0, 0, 2]))} mm, unloaded", fontsize=9)
     _dress(left, "axial", None)
     closure_curves(right, rows)
     return figure
