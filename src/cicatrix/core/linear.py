@@ -27,10 +27,13 @@ class LinearSolver:
     ----------
     symmetric : bool
         Whether all matrices are.
+    definite : bool
+        Whether a symmetric matrix that is indefinite is refused: factorised as such a large one takes much memory, and where
+        Newton's method meets it, a smaller step is cheaper.
     """
 
-    def __init__(self, symmetric: bool) -> None:
-        self._symmetric = symmetric
+    def __init__(self, symmetric: bool, definite: bool = False) -> None:
+        self._symmetric, self._must_be_definite = symmetric, definite
         self._methods: dict[Kind, Factorisation] = {}
         self._factor: Factor | None = None
         self._kind = Kind.DEFINITE if symmetric else Kind.GENERAL
@@ -43,7 +46,7 @@ class LinearSolver:
         Raises
         ------
         FloatingPointError
-            Where the matrix is singular or not finite.
+            Where the matrix is singular or not finite, or not definite where it must be.
         """
         if not self._is_stale:
             x = self._iterate(matrix, rhs, tolerance)
@@ -51,7 +54,9 @@ class LinearSolver:
                 return x
         self.factor(matrix)
         x = self._iterate(matrix, rhs, tolerance)
-        if x is None and self._kind == Kind.DEFINITE:  # single precision lets a matrix pass that is hardly definite
+        if (
+            x is None and self._kind == Kind.DEFINITE and not self._must_be_definite
+        ):  # single precision lets a matrix pass that is hardly definite
             self._factorise(Kind.SYMMETRIC, matrix)
             x = self._iterate(matrix, rhs, tolerance)
         if x is None:
@@ -65,6 +70,8 @@ class LinearSolver:
         try:
             self._factorise(Kind.DEFINITE, matrix)
         except FloatingPointError:
+            if self._must_be_definite:
+                raise
             self._factorise(Kind.SYMMETRIC, matrix)
         return None
 
