@@ -281,9 +281,7 @@ def test_forward_of_inverse_is_where_it_began(coated):
     np.testing.assert_allclose(again, x, rtol=0, atol=1e-7)
 
 
-@pytest.mark.parametrize(
-    ("share", "thickness", "is_stable"), [(1.0, 1.45, True), (8.0, 1.45, False), (8.0, 0.0, True)]
-)
+@pytest.mark.parametrize(("share", "thickness", "is_stable"), [(1.0, 1.45, True), (8.0, 1.45, False), (8.0, 0.0, True)])
 def test_a_mesh_bears_the_push_that_is_left_to_its_skin(share, thickness, is_stable):
     """Squeezed beyond the wrinkling strain, no wave of the mesh buckles; some do under eight times the push, not without skin."""
     lines = np.linspace(0.0, 16.0, 5)

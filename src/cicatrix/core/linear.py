@@ -10,8 +10,7 @@ from scipy.sparse.linalg import LinearOperator, gmres
 
 from .factors import Factor, Factorisation, Kind, factorisation
 
-MOST_STEPS = 60  # with a factor
-STALE_STEPS = 25  # a factor with which it took more is replaced before the next solve
+STALE = 0.4  # of the most steps with a factor: one with which it took more is replaced before the next solve
 PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
 
 
@@ -54,9 +53,8 @@ class LinearSolver:
                 return x
         self.factor(matrix)
         x = self._iterate(matrix, rhs, tolerance)
-        if (
-            x is None and self._kind == Kind.DEFINITE and not self._must_be_definite
-        ):  # single precision lets a matrix pass that is hardly definite
+        if x is None and self._kind == Kind.DEFINITE and not self._must_be_definite:
+            # single precision lets a matrix pass that is hardly definite
             self._factorise(Kind.SYMMETRIC, matrix)
             x = self._iterate(matrix, rhs, tolerance)
         if x is None:
@@ -99,12 +97,10 @@ class LinearSolver:
 
     def _iterate(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float) -> np.ndarray | None:
         """Solve with the factor that is there; None where it does not serve."""
-        if self._kind == Kind.DEFINITE:
-            x, steps = conjugate_gradients(matrix, rhs, self._factor.solve, tolerance, MOST_STEPS)
-        else:
-            x, steps = _gmres(matrix, rhs, self._factor.solve, tolerance)
+        iterate = conjugate_gradients if self._kind == Kind.DEFINITE else _gmres
+        x, steps = iterate(matrix, rhs, self._factor.solve, tolerance, self._factor.most_steps)
         self.n_steps += steps
-        self._is_stale = steps > STALE_STEPS
+        self._is_stale = steps > STALE * self._factor.most_steps
         return x
 
     def is_definite(self, matrix: sp.bsr_array) -> bool:
@@ -147,13 +143,15 @@ def conjugate_gradients(
     return None, most_steps
 
 
-def _gmres(matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float) -> tuple[np.ndarray | None, int]:
+def _gmres(
+    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int
+) -> tuple[np.ndarray | None, int]:
     """SciPy's generalised minimal residuals; the solution, or None where it is not reached, and the steps taken."""
     steps = []
     operator = LinearOperator(matrix.shape, matvec=precondition, dtype=float)  # pyright: ignore[reportCallIssue]
     x, left = gmres(
         *(matrix, rhs),
-        **{"rtol": tolerance, "M": operator, "restart": MOST_STEPS // 3, "maxiter": 3},
+        **{"rtol": tolerance, "M": operator, "restart": most_steps // 3, "maxiter": 3},
         callback=steps.append,
         callback_type="pr_norm",
     )
