@@ -2,17 +2,58 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from .factors import Factor, Factorisation, Kind, factorisation
+from .krylov import PetscEngine
 
 MOST_STEPS = 60  # with a factor
 STALE_STEPS = 25  # a factor with which it took more is replaced before the next solve
 PROBE_STEPS = 10  # of Lanczos' method in search of a negative eigenvalue
+
+
+class Engine(Protocol):
+    """What factorises and iterates, on this process or on several ranks."""
+
+    most_steps: int
+    stale_steps: int
+
+    def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:
+        """Prepare to factorise matrices of this pattern."""
+        ...
+
+    def iterate(
+        self, factor: Factor, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+    ) -> tuple[np.ndarray | None, int]:
+        """Solve with a factor: the solution, or None where it is not reached, and the steps taken."""
+        ...
+
+
+class InProcess:
+    """PARDISO or SuperLU, and the Krylov methods below."""
+
+    most_steps, stale_steps = MOST_STEPS, STALE_STEPS
+
+    def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
+        return factorisation(kind, matrix)
+
+    def iterate(  # noqa: D102
+        self, factor: Factor, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+    ) -> tuple[np.ndarray | None, int]:
+        if kind == Kind.DEFINITE:
+            return conjugate_gradients(matrix, rhs, factor.solve, tolerance, most_steps)
+        return _gmres(matrix, rhs, factor.solve, tolerance)
+
+
+def engine() -> Engine:
+    """Return the one of this process; CICATRIX_LINEAR_SOLVER = "petsc" asks for MUMPS through PETSc."""
+    return PetscEngine() if os.environ.get("CICATRIX_LINEAR_SOLVER") == "petsc" else InProcess()
 
 
 class LinearSolver:
@@ -27,10 +68,12 @@ class LinearSolver:
     ----------
     symmetric : bool
         Whether all matrices are.
+    on : Engine, optional
+        What factorises and iterates; the best one of this process unless given.
     """
 
-    def __init__(self, symmetric: bool) -> None:
-        self._symmetric = symmetric
+    def __init__(self, symmetric: bool, on: Engine | None = None) -> None:
+        self._symmetric, self._engine = symmetric, on or engine()
         self._methods: dict[Kind, Factorisation] = {}
         self._factor: Factor | None = None
         self._kind = Kind.DEFINITE if symmetric else Kind.GENERAL
@@ -73,7 +116,7 @@ class LinearSolver:
         if not np.isfinite(matrix.data).all():
             raise FloatingPointError("the matrix holds numbers that are not finite")
         if kind not in self._methods:
-            self._methods[kind] = factorisation(kind, matrix)
+            self._methods[kind] = self._engine.factorisation(kind, matrix)
         self.n_factorizations += 1
         self._factor, self._kind = self._methods[kind].factor(matrix), kind
         self._is_stale = False
@@ -91,17 +134,15 @@ class LinearSolver:
     def restore(self, matrix: sp.bsr_array, kept: Mapping[str, np.ndarray]) -> None:
         """Go on, to the bit, where another solver was; ``matrix`` is any of the pattern."""
         self._kind, self._is_stale = Kind(int(kept["kind"])), bool(kept["is_stale"])
-        self._methods[self._kind] = factorisation(self._kind, matrix)
+        self._methods[self._kind] = self._engine.factorisation(self._kind, matrix)
         self._factor = self._methods[self._kind].again(kept["values"])
 
     def _iterate(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float) -> np.ndarray | None:
         """Solve with the factor that is there; None where it does not serve."""
-        if self._kind == Kind.DEFINITE:
-            x, steps = conjugate_gradients(matrix, rhs, self._factor.solve, tolerance, MOST_STEPS)
-        else:
-            x, steps = _gmres(matrix, rhs, self._factor.solve, tolerance)
+        most = self._engine.most_steps
+        x, steps = self._engine.iterate(self._factor, self._kind, matrix, rhs, tolerance, most)
         self.n_steps += steps
-        self._is_stale = steps > STALE_STEPS
+        self._is_stale = steps > self._engine.stale_steps
         return x
 
     def is_definite(self, matrix: sp.bsr_array) -> bool:
@@ -112,7 +153,7 @@ class LinearSolver:
         if self._kind != Kind.DEFINITE:
             return not self._factor.n_negative
         rhs = np.random.Generator(np.random.Philox(0)).standard_normal(matrix.shape[0])
-        x, steps = conjugate_gradients(matrix, rhs, self._factor.solve, 1e-6, PROBE_STEPS)
+        x, steps = self._engine.iterate(self._factor, self._kind, matrix, rhs, 1e-6, PROBE_STEPS)
         return x is not None or steps == PROBE_STEPS
 
 
