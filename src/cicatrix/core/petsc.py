@@ -134,4 +134,6 @@ def petsc() -> Petsc:
             continue
         return Petsc(library)
     why = f" ({'; '.join(reasons)})" if reasons else ""
-    raise InputError(f"PETSc is not there{why}: apt-get install libpetsc-real3.18, or set PETSC_DIR to where it was built")
+    raise InputError(
+        f"PETSc is not there{why}: apt-get install libpetsc-real3.18, or set PETSC_DIR to where it was built"
+    )

@@ -1,14 +1,23 @@
-"""Mechanics alone: the shape of a body under gravity, or the shape it has without."""
+"""Mechanics alone: the shape of a body under gravity, or the shape it has without; by one process or by several ranks.
+
+The first rank has the run's folder; the others solve with it, each with elements of its own.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from ..core.krylov import PetscEngine
 from ..core.newton import NewtonReport
+from ..core.petsc import petsc
+from ..core.ranks import Ranks, world
 from ..core.units import acceleration_mm_s2, ml_from_mm3
 from ..mechanics.body import Body
+from ..mechanics.division import layout_of, shared
 from ..mechanics.equilibrium import Equilibrium
 from ..study.equilibrium import solid_body
 from ..study.equilibrium_case import EquilibriumCase
@@ -27,27 +36,20 @@ class EquilibriumRun:
     case: EquilibriumCase
     folder: RunFolder
     progress: Progress
+    ranks: Ranks = field(default_factory=world)
 
     def go(self) -> str:
         """Find the shape; returns the sentence that ends the run."""
         with self.progress.stage("mesh"):
-            given = read_body(self.case.body.mesh, self.case.body.mesh_unit)
-            body = solid_body(given.points, given.tetrahedra, given.is_fixed, given.E, given.nu, given.density)
+            given, body = _given(self.case, self.ranks)
         with self.progress.stage("solve"):
-            found, report, solver = self._solve(body)
+            found, report, solver = _find(self.case, body, self.ranks, lambda words: self.progress.update(None, words))
+            for line in [*_how(self.case, self.ranks), *report.history]:
+                self.folder.note(line)
         with self.progress.stage("outcome"):
             self._tell(given, body, found, report, solver)
         sought = "unloaded" if self.case.solver.inverse else "loaded"
         return f"The {sought} shape was found in {report.iterations} Newton iterations."
-
-    def _solve(self, body: Body) -> tuple[np.ndarray, NewtonReport, Equilibrium]:
-        solver = Equilibrium(self.case.solver.relative_tolerance, lambda words: self.progress.update(None, words))
-        gravity = acceleration_mm_s2(np.array(self.case.loads.gravity_m_s2))
-        given = body.frame.space.positions
-        found, report = (solver.unloaded if self.case.solver.inverse else solver.loaded)(body, given, gravity)
-        for line in report.history:
-            self.folder.note(line)
-        return found, report, solver
 
     def _tell(
         self, given: MeshedBody, body: Body, found: np.ndarray, report: NewtonReport, solver: Equilibrium
@@ -87,6 +89,54 @@ class EquilibriumRun:
             }
         )
         self.folder.save_figure("shape", shape_figure(body.frame.space, start, found, self.case.solver.inverse))
+
+
+def follow(case: EquilibriumCase, ranks: Ranks) -> None:
+    """Solve with the first rank, which leads the run."""
+    _, body = _given(case, ranks)
+    _find(case, body, ranks, lambda words: None)
+
+
+def _given(case: EquilibriumCase, ranks: Ranks) -> tuple[MeshedBody, Body]:
+    """The mesh, which the first rank reads, and the body that it is of."""
+    if _on_petsc(case, ranks):
+        ranks.agree(petsc)  # where it is not there, nothing else need be done
+    mesh = case.body.mesh, case.body.mesh_unit
+    given: Any = ranks.share(ranks.agree(lambda: read_body(*mesh) if ranks.is_first else None))
+    return given, solid_body(given.points, given.tetrahedra, given.is_fixed, given.E, given.nu, given.density)
+
+
+def _find(
+    case: EquilibriumCase, body: Body, ranks: Ranks, tell: Callable[[str], None]
+) -> tuple[np.ndarray, NewtonReport, Equilibrium]:
+    """Solve, all ranks together; each gets the whole shape (n_nodes, 3) [mm]."""
+
+    def heard(words: str) -> None:
+        tell(words)
+        if ranks.share(ranks.is_interrupted):
+            raise KeyboardInterrupt
+
+    on = None
+    if _on_petsc(case, ranks):
+        body = shared(body, ranks)
+        layout = layout_of(body.frame)
+        on = ranks.agree(lambda: PetscEngine(layout, "gamg" if case.solver.linear == "gamg" else "mumps"))
+    solver = Equilibrium(case.solver.relative_tolerance, heard, on)
+    seek = solver.unloaded if case.solver.inverse else solver.loaded
+    with ranks.all_or_none():
+        found, report = seek(body, body.frame.space.positions, acceleration_mm_s2(np.array(case.loads.gravity_m_s2)))
+    return found, report, solver
+
+
+def _on_petsc(case: EquilibriumCase, ranks: Ranks) -> bool:
+    return ranks.size > 1 or case.solver.linear != "direct"
+
+
+def _how(case: EquilibriumCase, ranks: Ranks) -> list[str]:
+    if not _on_petsc(case, ranks):
+        return []
+    method = "GAMG" if case.solver.linear == "gamg" else "MUMPS"
+    return [f"PETSc's {method} solved the linear systems on {ranks.size} rank{'s' * (ranks.size > 1)}."]
 
 
 def _extent(points: np.ndarray) -> Quantity:

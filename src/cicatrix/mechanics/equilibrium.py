@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError
-from ..core.linear import LinearSolver
+from ..core.linear import Engine, LinearSolver
 from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body, Frame, VolumeRates
 from .space import Space
@@ -31,12 +31,20 @@ class Equilibrium:
         Bound on the residual over the weight of the body (Euclidean norms) [1].
     tell : callable, optional
         Hears a few words on each iteration.
+    on : Engine, optional
+        What the linear systems are solved on; that of :func:`.linear.engine` unless given. Bodies that ranks share need one
+        that sums over these ranks.
     """
 
-    def __init__(self, relative_tolerance: float = 1e-8, tell: Callable[[str], None] | None = None) -> None:
-        self.relative_tolerance, self.tell = relative_tolerance, tell
-        self._linear = {in_plane: LinearSolver(symmetric=True) for in_plane in (False, True)}
-        self._inverse = LinearSolver(symmetric=False)
+    def __init__(
+        self,
+        relative_tolerance: float = 1e-8,
+        tell: Callable[[str], None] | None = None,
+        on: Engine | None = None,
+    ) -> None:
+        self.relative_tolerance, self.tell, self._on = relative_tolerance, tell, on
+        self._linear = {in_plane: LinearSolver(symmetric=True, on=on) for in_plane in (False, True)}
+        self._inverse = LinearSolver(symmetric=False, on=on)
 
     @property
     def factorizations(self) -> int:
@@ -162,7 +170,7 @@ class Equilibrium:
         """
         body, n = problem.body, problem.free.size
         shape = (body.frame.space.n_elements, body.frame.space.table.weight.size)
-        scale = problem.weight / np.sqrt(np.prod(shape))
+        scale = problem.weight / np.sqrt(body.frame.total(np.prod(shape)))
 
         def residual(z: np.ndarray) -> np.ndarray:
             shapes, J_bar = problem.shapes(z[:n]), z[n:].reshape(shape)
@@ -171,7 +179,11 @@ class Equilibrium:
 
         solver = self._inverse if problem.inverse else self._linear[problem.in_plane]
         tolerance = self.relative_tolerance * problem.weight
-        kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), tolerance)
+
+        def norm(r: np.ndarray) -> float:
+            return body.frame.norm(r[:n], r[n:])
+
+        kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), tolerance, norm)
 
         def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
             (matrix, rates), forcing = kept.at(z, r)
@@ -182,7 +194,7 @@ class Equilibrium:
             return np.concatenate([du, dJ.ravel()])
 
         z = np.concatenate([problem.x.reshape(-1)[problem.free], problem.volume_ratios.ravel()])
-        z = newton(residual, step, z, tolerance=tolerance, report=report)
+        z = newton(residual, step, z, tolerance=tolerance, report=report, norm=norm)
         if kept.value is not None and not problem.inverse and not solver.is_definite(kept.value[0]):
             raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
         _check_elements(body, *problem.shapes(z[:n]))
@@ -190,7 +202,7 @@ class Equilibrium:
 
     def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Walk down the potential energy."""
-        body, solver = problem.body, LinearSolver(symmetric=True)
+        body, solver = problem.body, LinearSolver(symmetric=True, on=self._on)
 
         def energy(values: np.ndarray) -> float:
             return body.potential(problem.X, problem.positions(values), problem.gravity)
@@ -216,8 +228,7 @@ def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
     """Refuse a shape that balances with an element turned inside out."""
     turned = body.inside_out(X, x)
     if len(turned):
-        at = x[body.frame.space.element_nodes[turned[0], :3]].mean(axis=0)
-        where = "({}) mm".format(", ".join(f"{value:.1f}" for value in at))
+        where = "({}) mm".format(", ".join(f"{value:.1f}" for value in turned[0]))
         raise ConvergenceError(
             f"{len(turned)} elements turn inside out, the first at {where}: tissue there would have to bear more than it can.",
             [f"{len(turned)} elements inside out, the first at {where}"],
@@ -239,13 +250,15 @@ class _Path:
 class _Kept:
     """A linearisation that is used again as long as it brings the residual down fast enough, and how exactly to solve with it."""
 
-    def __init__(self, linearise: Callable[[np.ndarray], Any], tolerance: float) -> None:
-        self._linearise, self._tolerance = linearise, tolerance
+    def __init__(
+        self, linearise: Callable[[np.ndarray], Any], tolerance: float, norm: Callable[[np.ndarray], float]
+    ) -> None:
+        self._linearise, self._tolerance, self._length = linearise, tolerance, norm
         self.value, self._norm = None, np.inf
 
     def at(self, z: np.ndarray, r: np.ndarray) -> tuple[Any, float]:
         """The linearisation to use at z, where the residual is r, and the forcing term of Eisenstat & Walker (1996, choice 2)."""
-        norm = float(np.linalg.norm(r))
+        norm = self._length(r)
         if self.value is None or not norm < REUSE_BELOW * self._norm:
             self.value = None
             self.value = self._linearise(z)
