@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from ctypes import byref, c_double, c_int, c_ssize_t, c_void_p
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Literal
 
 import numpy as np
@@ -119,6 +119,10 @@ class PetscEngine:
     ) -> tuple[np.ndarray | None, int]:
         return factor.iterate(matrix, rhs, tolerance, most_steps)
 
+    def release(self, methods: Sequence[PetscSystem]) -> None:  # noqa: D102
+        for method in methods:
+            method.close()
+
 
 class PetscSystem:
     """A matrix over ranks, a Krylov method and its preconditioner; factorisation and factor in one, as PARDISO's."""
@@ -135,16 +139,20 @@ class PetscSystem:
         self._loaded = lambda: None
         self._make_matrix(matrix)
         self._make_solver()
-        if layout.ranks.size == 1:  # of several ranks all would have to let go at the same moment
-            weakref.finalize(self, _destroy, library, self._handles())
-
-    def _handles(self) -> list[tuple[str, c_void_p]]:
-        vectors = [("VecDestroy", vector) for vector in (self._x, self._b)]
-        return [("KSPDestroy", self._ksp), *vectors, ("MatDestroy", self._matrix)]
+        handles = [
+            ("KSPDestroy", self._ksp),
+            ("VecDestroy", self._x),
+            ("VecDestroy", self._b),
+            ("MatDestroy", self._matrix),
+        ]
+        self._end = weakref.finalize(self, _destroy, library, handles)
+        if layout.ranks.size > 1:  # all would have to forget at the same moment
+            self._end.detach()
+            self._end = partial(_destroy, library, handles)
 
     def close(self) -> None:
-        """Let PETSc's memory go; all ranks alike."""
-        _destroy(self._petsc, self._handles())
+        """Let PETSc's memory go; all ranks alike. It is of no use afterwards."""
+        self._end()
 
     def _make_matrix(self, matrix: sp.bsr_array) -> None:
         """Rows to ranks, and where each entry of this rank's blocks goes, wherever that is."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Protocol
 
 import numpy as np
@@ -34,6 +34,10 @@ class Engine(Protocol):
         """Solve with a factor: the solution, or None where it is not reached, and the steps taken."""
         ...
 
+    def release(self, methods: Sequence[Factorisation]) -> None:
+        """Let go what these hold beyond Python's own memory."""
+        ...
+
 
 class InProcess:
     """PARDISO or SuperLU, and the Krylov methods below."""
@@ -49,6 +53,9 @@ class InProcess:
         if kind == Kind.DEFINITE:
             return conjugate_gradients(matrix, rhs, factor.solve, tolerance, most_steps)
         return _gmres(matrix, rhs, factor.solve, tolerance)
+
+    def release(self, methods: Sequence[Factorisation]) -> None:  # noqa: D102
+        pass  # they do it when nobody knows them any more
 
 
 def engine() -> Engine:
@@ -123,6 +130,7 @@ class LinearSolver:
 
     def forget(self) -> None:
         """Let the factor's memory go."""
+        self._engine.release(list(self._methods.values()))
         self._methods, self._factor, self._is_stale = {}, None, True
 
     def kept(self) -> dict[str, np.ndarray]:

@@ -135,5 +135,5 @@ def petsc() -> Petsc:
         return Petsc(library)
     why = f" ({'; '.join(reasons)})" if reasons else ""
     raise InputError(
-        f"PETSc is not there{why}: apt-get install libpetsc-real3.18, or set PETSC_DIR to where it was built"
+        f"PETSc is not there{why}: apt-get install python3-petsc4py, or set PETSC_DIR to where it was built"
     )

@@ -100,7 +100,7 @@ def follow(case: EquilibriumCase, ranks: Ranks) -> None:
 def _given(case: EquilibriumCase, ranks: Ranks) -> tuple[MeshedBody, Body]:
     """The mesh, which the first rank reads, and the body that it is of."""
     if _on_petsc(case, ranks):
-        ranks.agree(petsc)  # where it is not there, nothing else need be done
+        ranks.agree(lambda: petsc().communicator(ranks))  # where that fails nothing else need be done
     mesh = case.body.mesh, case.body.mesh_unit
     given: Any = ranks.share(ranks.agree(lambda: read_body(*mesh) if ranks.is_first else None))
     return given, solid_body(given.points, given.tetrahedra, given.is_fixed, given.E, given.nu, given.density)

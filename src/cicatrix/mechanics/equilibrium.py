@@ -219,7 +219,10 @@ class Equilibrium:
 
         start = problem.x.reshape(-1)[problem.free]
         tolerance = self.relative_tolerance * problem.weight
-        values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
+        try:
+            values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
+        finally:
+            solver.forget()
         _check_elements(body, *problem.shapes(values))
         return problem.positions(values)
 
