@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
@@ -21,20 +21,27 @@ PROBE_STEPS = 10  # of Lanczos' method in search of a negative eigenvalue
 class Engine(Protocol):
     """What factorises and iterates, on this process or on several ranks."""
 
-    most_steps: int
-    stale_steps: int
+    @property
+    def most_steps(self) -> int:
+        """Steps after which a solve is given up."""
+        ...
+
+    @property
+    def stale_steps(self) -> int:
+        """A factor with which a solve took more is replaced before the next one."""
+        ...
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:
         """Prepare to factorise matrices of this pattern."""
         ...
 
     def iterate(
-        self, factor: Factor, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+        self, factor: Any, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
     ) -> tuple[np.ndarray | None, int]:
         """Solve with a factor: the solution, or None where it is not reached, and the steps taken."""
         ...
 
-    def release(self, methods: Sequence[Factorisation]) -> None:
+    def release(self, methods: Sequence[Any]) -> None:
         """Let go what these hold beyond Python's own memory."""
         ...
 
