@@ -9,7 +9,7 @@ from cicatrix.geometry.volume import Volume
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.body import Body, Frame
 from cicatrix.mechanics.space import Space
-from cicatrix.study.lumpectomy import Anatomy
+from cicatrix.study.plans import Anatomy
 
 
 @pytest.fixture(scope="session")

@@ -50,7 +50,7 @@ def closed_alone(cycle: HealingCycle) -> tuple[np.ndarray, np.ndarray, list[np.n
     while fronts[-1].any():
         state = automaton.advance(state)
         fronts.append(cycle.open_sites(state))
-    area = np.array([closure.open_area(automaton.lattice, f) for f in fronts])
+    area = np.array([closure.open_size(automaton.lattice, f) for f in fronts])
     return np.arange(len(fronts)) * cycle.days_per_step, np.sqrt(area / np.pi), fronts
 
 
@@ -154,7 +154,7 @@ def _rows(cycle: HealingCycle, fronts: list[np.ndarray], days: float) -> list[di
         {
             "time_days": i * days,
             "closed_fraction": 1 - f.sum() / n0,
-            "open_area_mm2": closure.open_area(lattice, f),
+            "open_area_mm2": closure.open_size(lattice, f),
             "wound_asymmetry": closure.asymmetry(f, centre),
         }
         for i, f in enumerate(fronts)

@@ -15,7 +15,6 @@ from cicatrix.io.claims import print_claims
 from cicatrix.io.lumpectomy_run import anatomy_of
 from cicatrix.study.lumpectomy import last_cycle
 from cicatrix.study.prepare import prepare, reseeded
-from cicatrix.study.summary import shape_numbers
 
 HERE = Path(__file__).parent
 SEEDS = range(1, 6)
@@ -35,7 +34,7 @@ def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tupl
             if state.cycle % SHOWN == 0:
                 named.append((f"day {healing.days(state.cycle):.0f}", state.x))
         named.append(("healed" if state.is_closed else "last week", state.x))
-        change, first = (shape_numbers(planned, cycle.x_intact, s.x) for s in (state, fresh))
+        change, first = (planned.change(cycle.x_intact, s.x) for s in (state, fresh))
         out["area"].append(change.volume_change_percent)
         out["retraction"].append(change.surface_retraction_max_mm)
         out["nipple"].append(change.nipple_displacement_mm)

@@ -173,3 +173,92 @@ def test_a_body_too_soft_for_its_weight_fails_with_its_history(tmp_path):
         cicatrix.simulate(case, tmp_path / "run")
     assert caught.value.history
     assert '"failed"' in (tmp_path / "run" / "manifest.json").read_text()
+
+
+# ---- supports and pressure ----------------------------------------------------------------------------------------------
+
+
+def write_supported(folder, case="", **point_data):
+    """The cube without weight, with these point data."""
+    points, tetrahedra = cube()
+    n = len(tetrahedra)
+    data = {"fixed": np.zeros(len(points))} | {name: np.asarray(values, float) for name, values in point_data.items()}
+    cells = {"youngs_modulus_kPa": 3.0, "poisson_ratio": 0.4, "density_kg_m3": 1e-3}
+    mesh = meshio.Mesh(
+        points,
+        [("tetra", tetrahedra)],
+        point_data=data,
+        cell_data={name: [np.full(n, value)] for name, value in cells.items()},
+    )
+    mesh.write(folder / "body.vtu")
+    (folder / "case.toml").write_text(CASE + "pressure_kPa = 0.0\n" + case)
+    return folder / "case.toml"
+
+
+def base_and_top(points):
+    return points[:, 2] < 1e-9, points[:, 2] > 20.0 - 1e-9
+
+
+def test_a_pulled_and_sheared_cube(tmp_path):
+    """All of the surface moved by one affine map: the only inner node goes with it (patch test); gravity is 1e-6 of stiffness."""
+    points, _ = cube()
+    outer = (np.abs(points - 10.0) > 10.0 - 1e-9).any(axis=1)
+    shift = points @ np.array([[0.1, 0.0, 0.0], [0.2, -0.05, 0.0], [0.1, 0.3, 0.4]])
+    case = load_case(
+        write_supported(tmp_path, fixed=outer, prescribed_displacement=np.where(outer[:, None], shift, 0.0))
+    )
+    cicatrix.simulate(case, tmp_path / "run")
+    np.testing.assert_allclose(displacement(tmp_path / "run").point_data["displacement"], shift, atol=1e-4)
+
+
+def test_a_cube_in_a_corner_is_pressed(tmp_path):
+    """Three walls without friction, pressure on the top: uniaxial compression; Cauchy stress -p along, 0 across, by hand."""
+    points, _ = cube()
+    walls = (np.abs(points) < 1e-9).any(axis=1)
+    _, top = base_and_top(points)
+    case = load_case(
+        write_supported(tmp_path, sliding=walls, pressurised=top),
+        ["loads.pressure_kPa=1.0", "loads.gravity_m_s2=[0.0, 0.0, 0.0]"],
+    )
+    cicatrix.simulate(case, tmp_path / "run")
+    moved = displacement(tmp_path / "run").point_data["displacement"]
+    stretch = 1.0 + moved[(points == 20.0).all(axis=1)][0] / 20.0
+    np.testing.assert_allclose(moved, points * (stretch - 1.0), atol=1e-6)
+    a, length = stretch[0], stretch[2]
+    mu, kappa = 3.0 / 2.8, 3.0 / 0.6
+    J = a * a * length
+    # Cauchy stress of mu/2 (J^(-2/3) I1 - 3) + kappa/2 (J - 1)^2: along and across, by hand
+    mean = kappa * (J - 1.0)
+    along = mu * J ** (-5 / 3) * 2 / 3 * (length**2 - a**2) + mean
+    across = mu * J ** (-5 / 3) / 3 * (a**2 - length**2) + mean
+    assert stretch[1] == pytest.approx(a, rel=1e-7)
+    assert along == pytest.approx(-1.0, rel=1e-6)
+    assert across == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("data", "settings", "sentence"),
+    [
+        (
+            {"prescribed_displacement": np.full((27, 2), 0.0)},
+            [],
+            "`prescribed_displacement` must have three components",
+        ),
+        ({"prescribed_displacement": np.full((27, 3), np.nan)}, [], "must be finite numbers; node 0"),
+        ({"prescribed_displacement": np.ones((27, 3))}, [], "move 18 nodes that are not fixed, the first is node"),
+        ({"sliding": np.full(27, 2.0)}, [], "`sliding` must be 0 or 1"),
+        ({"sliding": np.arange(27) == 0}, [], "`sliding` mark 1 nodes that are on no boundary face"),
+        ({"pressurised": np.full(27, np.nan)}, [], "`pressurised` must be 0 or 1"),
+        ({"pressurised": np.arange(27) == 13}, [], "`pressurised` mark 1 nodes that are on no boundary face"),
+        ({}, ["loads.pressure_kPa=1.0"], "loads.pressure_kPa = 1 acts on no face"),
+        ({"fixed": np.zeros(27), "sliding": "base"}, [], "sliding nodes alone let the body slide away or turn"),
+        ({"prescribed_displacement": "base"}, ["solver.inverse=true"], "must be 0 where solver.inverse = true"),
+    ],
+)
+def test_faults_of_supports_are_told(data, settings, sentence, tmp_path):
+    points, _ = cube()
+    base = base_and_top(points)[0]
+    at_base = {"sliding": base, "prescribed_displacement": base[:, None] * np.ones(3)}
+    data = {"fixed": base} | {name: at_base[name] if isinstance(v, str) else v for name, v in data.items()}
+    with pytest.raises(InputError, match=f"body.vtu: .*{sentence}"):
+        cicatrix.simulate(load_case(write_supported(tmp_path, **data), settings), tmp_path / "run")

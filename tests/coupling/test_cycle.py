@@ -112,7 +112,7 @@ def test_cells_are_neither_lost_nor_doubled(two_way):
 def test_fresh_wound_is_the_disc(two_way):
     """As large as the elements of the cavity, up to sites on its border; those are empty, the others full."""
     cycle, states = two_way
-    area = closure.open_area(cycle.automaton.lattice, cycle.open_sites(states[0].healing))
+    area = closure.open_size(cycle.automaton.lattice, cycle.open_sites(states[0].healing))
     areas = cycle.intact.volumes(cycle.X)[cycle.cavity].sum()
     assert area == pytest.approx(areas, rel=0.02)
     assert (states[0].filled[cycle.cavity] == 0).all()

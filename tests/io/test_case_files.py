@@ -134,6 +134,39 @@ def test_one_fault_one_sentence(name, write):
     assert check_case(write(head + image + rest)) == [sentence]
 
 
+SOLID = 'kind = "lumpectomy"\ndimension = 3\n[image]\nphantom = "half-ellipsoid"\n'
+FORTNIGHT = "[coupling]\ndays_per_cycle = 14\n"
+SOLID_FAULTS = {
+    "plane": ('plane = "axial"\n', "image.plane belongs to dimension = 2, where a section is cut; leave it out"),
+    "slice": ("slice_mm = 1\n", "image.slice_mm belongs to dimension = 2, where a section is cut; leave it out"),
+    "mesh": ("[mesh]\ncavity_edge_mm = 9.0\n", "mesh.cavity_edge_mm must be at most edge_mm (5); got 9"),
+    "pitch": (
+        # by hand: 278 pitches across, of which the sheared block takes 1.225 x 1.563 x 1.986 x 278^3 = 8.2e7, and its rims
+        "[healing]\npitch_um = 100\n",
+        "healing.pitch_um puts 8.3e+07 sites over the cavity, and 3e+07 fit into memory: take at least 150; got 100",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", SOLID_FAULTS)
+def test_one_fault_of_a_solid_one_sentence(name, write):
+    lines, sentence = SOLID_FAULTS[name]
+    pitch = "" if "pitch" in lines else "[healing]\npitch_um = 200\n"
+    assert check_case(write(SOLID + lines + pitch + FORTNIGHT)) == [sentence]
+
+
+def test_an_image_is_no_mirror_image(write):
+    words = "must be three letters of L or R, A or P, S or I, where x, y and z lead, and no mirror image"
+    assert check_case(write(PHANTOM + 'axes = "LPI"')) == [f'image.axes {words}; got "LPI"']
+    assert check_case(write(PHANTOM + 'axes = "RIA"')) == []
+
+
+def test_a_solid_has_coarser_elements_by_default(write):
+    case = load_case(write(SOLID + "[healing]\npitch_um = 200\n[mesh]\nedge_mm = 6\n" + FORTNIGHT))
+    assert (case.mesh.edge_mm, case.mesh.cavity_edge_mm) == (6, 2)
+    assert load_case(write(PHANTOM)).mesh.edge_mm == 3
+
+
 def test_chest_wall_is_a_plane_or_points(write):
     wall = PHANTOM + "[image.chest_wall]\n"
     assert check_case(write(wall + "point_mm = [0, 0, 0]\nnormal = [0, -1, 0]")) == []

@@ -6,7 +6,7 @@ import scipy.sparse as sp
 
 from cicatrix.core import factors, scatter
 from cicatrix.core.linear import LinearSolver, conjugate_gradients
-from cicatrix.core.native import add_blocks
+from cicatrix.core.native import add_blocks, add_contracted
 from cicatrix.mechanics.pattern import Pattern
 
 N_NODES = 40
@@ -65,6 +65,19 @@ def test_compiled_scatter_is_its_twin(b):
     add_blocks(fast, slots, matrices)
     scatter.add_blocks(slow, slots, matrices)
     assert (fast == slow).all()
+
+
+@pytest.mark.parametrize(("a", "d", "b"), [(10, 3, 3), (7, 2, 3), (7, 2, 2)])
+def test_compiled_contraction_is_its_twin(a, d, b):
+    """Tetrahedra and triangles, against the clear version, which is tested against derivatives of the forces."""
+    rng = np.random.default_rng(3)
+    slots = rng.integers(-1, 40, (9, a, a)).astype(np.int32)
+    slopes, A = rng.standard_normal((9, 4, a, d)), rng.standard_normal((9, 4, 3, d, 3, d))
+    columns, rows = rng.standard_normal((9, 8, 3 * a)), rng.standard_normal((9, 8, 3 * a))
+    fast, slow = np.ones((40, b, b)), np.ones((40, b, b))
+    add_contracted(fast, slots, slopes, A, columns, rows)
+    scatter.add_contracted(slow, slots, slopes, A, columns, rows)
+    np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12 * np.abs(slow).max())
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from cicatrix.geometry.meshing import label_borders, mesh_section
 from cicatrix.geometry.section import Section
 from cicatrix.geometry.volume import Volume
 from cicatrix.study.case import Image, LumpectomyCase, Mesh, Resection
-from cicatrix.study.lumpectomy import margin_mm, plan
+from cicatrix.study.lumpectomy import plan
 
 RADIUS, CAVITY, CENTRE = 20.0, 8.0, np.array([0.0, -10.0])
 
@@ -127,8 +127,8 @@ def test_the_plan_of_a_half_disc(half_disc):
     planned = plan(case_of(radius_mm=7.0), half_disc())
     np.testing.assert_allclose(planned.centre_mm, [0.0, -13.0, 0.0], atol=0.5)
     inside = areas(planned.mesh)[planned.cavity].sum()
-    assert margin_mm(planned, half_disc()) == pytest.approx(3.5, abs=1.5)  # 7 mm around a ball of 3.5 mm in 2 mm voxels
-    assert margin_mm(planned, half_disc(tumour=False)) == np.inf
+    assert planned.margin_mm(half_disc()) == pytest.approx(3.5, abs=1.5)  # 7 mm around a ball of 3.5 mm in 2 mm voxels
+    assert planned.margin_mm(half_disc(tumour=False)) == np.inf
     assert inside == pytest.approx(np.pi * 49, rel=0.03)  # of eleven sides
     X = planned.x_imaged
     assert np.abs(X[planned.intact.frame.fixed_nodes, 1]).max() < 2.0

@@ -85,8 +85,8 @@ DISC = (FROM**2).sum(axis=-1) < 4.001  # no site on the border itself
 
 def test_disc():
     """Radius 2: area 4 pi, perimeter 4 pi, point-symmetric, round."""
-    assert closure.open_area(LATTICE, DISC) == pytest.approx(4 * np.pi, rel=0.01)
-    assert closure.perimeter(LATTICE, DISC, ~DISC) == pytest.approx(4 * np.pi, rel=0.02)
+    assert closure.open_size(LATTICE, DISC) == pytest.approx(4 * np.pi, rel=0.01)
+    assert closure.front_size(LATTICE, DISC, ~DISC) == pytest.approx(4 * np.pi, rel=0.02)
     assert (closure.wound_centre(DISC) == CENTRE).all()
     assert closure.asymmetry(DISC, CENTRE) == 0
     assert closure.roundness(LATTICE, DISC) == pytest.approx(1, abs=1e-3)
@@ -117,13 +117,38 @@ def test_ellipse(angle):
     ellipse = (along / 2) ** 2 + across**2 < 1.001
     assert closure.roundness(LATTICE, ellipse) == pytest.approx(0.5, abs=0.01)
     assert closure.asymmetry(ellipse, CENTRE) == 0
-    assert closure.perimeter(LATTICE, ellipse, ~ellipse) == pytest.approx(9.688, rel=0.05)
+    assert closure.front_size(LATTICE, ellipse, ~ellipse) == pytest.approx(9.688, rel=0.05)
 
 
 def test_a_closed_wound():
     nothing = np.zeros(LATTICE.shape, bool)
-    assert closure.open_area(LATTICE, nothing) == 0
-    assert closure.perimeter(LATTICE, nothing, ~nothing) == 0
+    assert closure.open_size(LATTICE, nothing) == 0
+    assert closure.front_size(LATTICE, nothing, ~nothing) == 0
     assert closure.asymmetry(nothing, CENTRE) == 0
     assert (closure.centroid_shift(LATTICE, nothing, DISC) == 0).all()
     assert np.isnan(closure.roundness(LATTICE, nothing))
+
+
+# a wound in three dimensions ---------------------------------------------------------------------------------------------
+
+BLOCK = Lattice.covering((-2.4, -2.4, -2.4), (2.4, 2.4, 2.4), 0.08)
+
+
+def test_a_ball():
+    """Radius 2: volume and surface by hand, the surface as the mean over all directions."""
+    centre = BLOCK.nearest(np.zeros(3))
+    ball = np.linalg.norm(BLOCK.positions() - BLOCK.position(centre), axis=-1) < 2.0 - 1e-9
+    assert closure.open_size(BLOCK, ball) == pytest.approx(4 / 3 * np.pi * 8, rel=0.005)
+    assert closure.front_size(BLOCK, ball, ~ball) == pytest.approx(16 * np.pi, rel=0.01)
+    assert closure.roundness(BLOCK, ball) == pytest.approx(1, abs=1e-3)
+    assert (closure.wound_centre(ball) == centre).all()
+    assert closure.asymmetry(ball, centre) == 0
+
+
+def test_a_slab_in_the_densest_plane():
+    """Where the first index steps, each site has three of its twelve neighbours across: by hand sqrt(2/3) of the mean."""
+    lattice = Lattice((40, 40, 40), 0.1, (0.0, 0.0, 0.0))
+    below, above = np.zeros((2, *lattice.shape), bool)
+    below[10:20, 5:35, 5:35] = above[20:, 5:35, 5:35] = True
+    area = 900 * np.sqrt(3) / 2 * 0.1**2
+    assert closure.front_size(lattice, below, above) == pytest.approx(np.sqrt(2 / 3) * area, rel=0.03)

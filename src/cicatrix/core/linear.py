@@ -15,7 +15,7 @@ from .krylov import PetscEngine
 
 MOST_STEPS = 60  # with a factor
 STALE_STEPS = 25  # a factor with which it took more is replaced before the next solve
-PROBE_STEPS = 10  # of Lanczos' method in search of a negative eigenvalue
+PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
 
 
 class Engine(Protocol):
@@ -52,6 +52,8 @@ class InProcess:
     most_steps, stale_steps = MOST_STEPS, STALE_STEPS
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
+        if not np.isfinite(matrix.data).all():  # PARDISO looks at the numbers already
+            raise FloatingPointError("the matrix holds numbers that are not finite")
         return factorisation(kind, matrix)
 
     def iterate(  # noqa: D102
@@ -127,8 +129,6 @@ class LinearSolver:
 
     def _factorise(self, kind: Kind, matrix: sp.bsr_array) -> None:
         self._is_stale = True
-        if not np.isfinite(matrix.data).all():
-            raise FloatingPointError("the matrix holds numbers that are not finite")
         if kind not in self._methods:
             self._methods[kind] = self._engine.factorisation(kind, matrix)
         self.n_factorizations += 1

@@ -22,6 +22,11 @@ def density_kg_mm3(density_kg_m3: Value) -> Value:
     return density_kg_m3 * 1e-9
 
 
+def density_kg_m3(density_kg_mm3: Value) -> Value:
+    """Mass density: [kg/mm3] -> [kg/m3]."""
+    return density_kg_mm3 * 1e9
+
+
 def acceleration_mm_s2(acceleration_m_s2: Value) -> Value:
     """Acceleration: [m/s2] -> [mm/s2]."""
     return acceleration_m_s2 * 1e3

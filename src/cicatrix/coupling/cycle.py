@@ -91,7 +91,7 @@ class HealingCycle:
     x_intact : (n_nodes, 3) array [mm]
         Its loaded shape in the healing position.
     gravity : (3,) array [mm/s^2]
-        In the healing position, in the section's axes.
+        In the healing position, in the body's axes.
     tissue, scar : Tissue
         What is there before surgery, and what grows in the cavity.
     cavity : (n_elements,) bool array
@@ -201,8 +201,8 @@ class HealingCycle:
 
     def _held(self, chosen: np.ndarray) -> np.ndarray:
         """Chosen elements that are joined side by side to tissue that was there before (n_elements,) bool."""
-        inner, outer = self.intact.frame.space.mesh.f2t
-        sides = (outer >= 0) & chosen[inner] & chosen[np.maximum(outer, 0)]
+        inner, outer = self.intact.frame.space.neighbours
+        sides = chosen[inner] & chosen[outer]
         n = chosen.size
         graph = sp.coo_array((np.ones(np.count_nonzero(sides)), (inner[sides], outer[sides])), shape=(n, n))
         _, part = connected_components(graph, directed=False)
@@ -226,9 +226,9 @@ class HealingCycle:
         body, space = self.body(state), self.intact.frame.space
         coefficients = linear_fit(body.energy_density(self.X, state.x), body.volumes(self.X), space.table.points)
         held = body.fraction >= WELL_FILLED
-        centres = self.X[space.element_nodes[:, :3], :2].mean(axis=1)
+        centres = self.X[space.element_nodes[:, : space.n_axes + 1], : space.n_axes].mean(axis=1)
         nearest = np.flatnonzero(held)[cKDTree(centres[held]).query(centres[~held])[1]]
-        coefficients[~held] = coefficients[nearest] * (1.0, 0.0, 0.0)
+        coefficients[~held] = coefficients[nearest] * np.eye(1, space.n_axes + 1)
         return np.maximum(self.sites.evaluate(coefficients), 0.0)
 
     def edge_energy(self, state: TissueState) -> float:

@@ -40,6 +40,14 @@ def boundary(tetrahedra: np.ndarray) -> np.ndarray:
     return faces[np.sort(first[count == 1])]
 
 
+def neighbours(tetrahedra: np.ndarray) -> np.ndarray:
+    """Tetrahedra that share a face: (m, 4 or 10) -> (2, n_inner_faces)."""
+    faces = np.sort(tetrahedra[:, FACES[:, :3]].reshape(-1, 3), axis=1)
+    order = np.lexsort(faces.T)
+    same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
+    return np.sort(np.stack([order[:-1][same], order[1:][same]]) // 4, axis=0)
+
+
 def unmirrored(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     """Turn a mesh that is written as its mirror image; other meshes stay as they are: (m, 4 or 10) -> the same."""
     all_turned = (volumes(points, tetrahedra) < 0.0).all()
@@ -71,7 +79,7 @@ def dihedral_angles(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(np.stack(cosines, axis=-1), -1, 1)))
 
 
-def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray) -> None:
+def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_sliding: np.ndarray) -> None:
     """Refuse a mesh that no body can have.
 
     Parameters
@@ -82,6 +90,8 @@ def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray) -> N
         Corners, then middles of edges, oriented.
     is_fixed : (n,) bool array
         Nodes that are held.
+    is_sliding : (n,) bool array
+        Corners of boundary faces that slide along themselves.
 
     Raises
     ------
@@ -91,7 +101,7 @@ def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray) -> N
     _check_numbers(points, tetrahedra)
     _check_shapes(points, tetrahedra)
     _check_surface(points, tetrahedra)
-    _check_supports(points, tetrahedra, is_fixed)
+    _check_supports(points, tetrahedra, is_fixed, is_sliding)
 
 
 def _check_numbers(points: np.ndarray, tetrahedra: np.ndarray) -> None:
@@ -139,9 +149,12 @@ def _check_surface(points: np.ndarray, tetrahedra: np.ndarray) -> None:
         raise InputError(f"the surface meets itself along an edge at {at}: each edge of it must belong to two faces")
 
 
-def _check_supports(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray) -> None:
+def _check_supports(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_sliding: np.ndarray) -> None:
     if not is_fixed.any():
-        raise InputError("no node is fixed: mark some by point data `fixed` = 1, or the body falls")
+        if not is_sliding.any():
+            raise InputError("no node is fixed: mark some by point data `fixed` = 1, or the body falls")
+        faces = boundary(tetrahedra[:, :4])
+        _check_walls(points, faces[is_sliding[faces].all(axis=1)])
     n, m = len(points), len(tetrahedra)
     ones, cells = np.ones(4 * m), np.repeat(np.arange(m), 4)
     holds = sp.coo_array((ones, (tetrahedra[:, :4].ravel(), cells)), shape=(n, m)).tocsr()
@@ -153,6 +166,17 @@ def _check_supports(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.nda
         smallest = min(pieces, key=lambda i: np.count_nonzero(piece == i))
         at = _place(points[corner & (piece == smallest)].mean(axis=0))
         raise InputError(f"the body falls into {pieces.size} pieces, the smallest about {at}: it must be one")
+
+
+def _check_walls(points: np.ndarray, faces: np.ndarray) -> None:
+    """Refuse walls along which a body can slide away, or turn, as a whole: faces (n, 3)."""
+    normals, arms = area_vectors(points, faces), points - points.mean(axis=0)
+    rows = [np.hstack([normals, np.cross(arms[corner], normals)]) for corner in faces.T]
+    pushes = np.vstack(rows) / np.linalg.norm(arms, axis=1).max() ** np.repeat([0, 1], 3)
+    if np.linalg.matrix_rank(pushes, tol=1e-6 * np.abs(pushes).max(initial=0.0)) < 6:
+        raise InputError(
+            "sliding nodes alone let the body slide away or turn: mark some nodes by point data `fixed` = 1"
+        )
 
 
 def _place(point: np.ndarray) -> str:

@@ -3,13 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
+
+from .hexgrid import Lattice
+from .tetrahedra import EDGES
 
 # a P2 triangle cut into four straight ones: nodes (vertices 0 1 2, edges 3 = 01, 4 = 12, 5 = 02)
 QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 LOCAL = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, 0.0], [0.5, 0.5], [0.0, 0.5]])
+# a P2 tetrahedron cut into eight: the corners, and the octahedron between them along its diagonal from 01 to 23
+EIGHTHS = np.array(
+    [[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3], [4, 9, 6, 5], [4, 9, 5, 8], [4, 9, 8, 7], [4, 9, 7, 6]]
+)
+CORNERS = np.vstack([np.zeros(3), np.eye(3)])
+LOCAL_SOLID = np.vstack([CORNERS, [(CORNERS[i] + CORNERS[j]) / 2 for i, j in EDGES]])
 OUTSIDE = -1
+ON_FACE = 1e-9  # barycentric coordinate: what is so little outside counts as inside
+PIECES_AT_ONCE = 2048  # of tetrahedra, and
+SITES_AT_ONCE = 2**20  # sites: their work arrays stay below 100 MB
 
 
 @dataclass(frozen=True, eq=False)
@@ -22,8 +35,8 @@ class SiteMap:
     ----------
     element : (n_sites,) int array
         Element number, OUTSIDE (-1) where there is none.
-    local : (n_sites, 2) array [1]
-        Coordinates in the reference triangle.
+    local : (n_inside, 2 or 3) array [1]
+        Coordinates in the reference triangle or tetrahedron of the sites that have an element, in their order.
     n_elements : int
         Number of elements of the mesh.
     """
@@ -32,19 +45,28 @@ class SiteMap:
     local: np.ndarray
     n_elements: int
 
+    @cached_property
+    def inside(self) -> np.ndarray:
+        """Sites that have an element (n_inside,)."""
+        return np.flatnonzero(self.element != OUTSIDE)
+
     def count(self, chosen: np.ndarray) -> np.ndarray:
         """Chosen sites in each element: (n_sites,) bool -> (n_elements,) int."""
         return np.bincount(self.element[chosen & (self.element != OUTSIDE)], minlength=self.n_elements)
 
     def evaluate(self, coefficients: np.ndarray) -> np.ndarray:
-        """Field linear in each element, at the sites: coefficients (n_elements, 3) -> (n_sites,); 0 outside."""
-        c = coefficients[self.element]
-        values = c[:, 0] + np.sum(c[:, 1:] * (self.local - 1.0 / 3.0), axis=1)
-        return np.where(self.element == OUTSIDE, 0.0, values)
+        """Field linear in each element, at the sites: coefficients (n_elements, 3 or 4) -> (n_sites,); 0 outside."""
+        centre = 1.0 / coefficients.shape[1]
+        values = np.zeros(len(self.element))
+        for start in range(0, len(self.inside), SITES_AT_ONCE):
+            some = slice(start, start + SITES_AT_ONCE)
+            c = coefficients[self.element[self.inside[some]]]
+            values[self.inside[some]] = c[:, 0] + np.sum(c[:, 1:] * (self.local[some] - centre), axis=1)
+        return values
 
 
 def locate_sites(positions: np.ndarray, sites: np.ndarray) -> SiteMap:
-    """Find the element of each site.
+    """Find the triangle of each site.
 
     Parameters
     ----------
@@ -70,7 +92,69 @@ def locate_sites(positions: np.ndarray, sites: np.ndarray) -> SiteMap:
             inside = (weights >= -1e-12).all(axis=1) & (element[candidates] == OUTSIDE)
             element[candidates[inside]] = e
             local[candidates[inside]] = weights[inside] @ LOCAL[quarter]
-    return SiteMap(element, local, len(positions))
+    return SiteMap(element, local[element != OUTSIDE], len(positions))
+
+
+def locate_lattice(positions: np.ndarray, lattice: Lattice, box: np.ndarray) -> SiteMap:
+    """Find the tetrahedron of each site of a lattice, row by row: where a row enters a tetrahedron, and where it leaves.
+
+    Parameters
+    ----------
+    positions : (n_elements, 10, 3) array [mm]
+        Nodes of P2 tetrahedra; each is taken as eight straight ones, so that neighbours agree on their common face.
+    lattice : Lattice
+        Of three axes.
+    box : (2, 3) array [mm]
+        Low and high corner; sites beyond them are left out, for the block of a lattice is sheared.
+    """
+    element = np.full(lattice.n_sites, OUTSIDE, np.int32)
+    near = np.flatnonzero(((positions.max(axis=1) >= box[0]) & (positions.min(axis=1) <= box[1])).all(axis=1))
+    corners = lattice.index(positions[near][:, EIGHTHS]).reshape(-1, 4, 3)
+    found = [(np.zeros(0, np.int64), np.zeros((0, 3), np.float32))]
+    for start in range(0, len(corners), PIECES_AT_ONCE):
+        piece, index, weights = _sites_in(corners[start : start + PIECES_AT_ONCE], lattice.shape)
+        at = lattice.position(index)
+        site = np.asarray(np.ravel_multi_index(tuple(index.T), lattice.shape))
+        new = np.flatnonzero((element[site] == OUTSIDE) & ((at >= box[0]) & (at <= box[1])).all(axis=1))
+        _, first = np.unique(site[new], return_index=True)  # a site on a face has one element: the first
+        new, number = new[first], start + piece[new[first]]
+        element[site[new]] = near[number // len(EIGHTHS)]
+        local = np.einsum("na,nai->ni", weights[new], LOCAL_SOLID[EIGHTHS[number % len(EIGHTHS)]])
+        found.append((site[new], local.astype(np.float32)))
+    order = np.argsort(np.concatenate([site for site, _ in found]))
+    return SiteMap(element, np.concatenate([local for _, local in found])[order], len(positions))
+
+
+def _sites_in(corners: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sites within straight tetrahedra: corners (n, 4, 3) as site indices -> tetrahedron (k,), index (k, 3), weights (k, 4)."""
+    edges = corners[:, 1:] - corners[:, :1]
+    is_flat = np.abs(np.linalg.det(edges)) < 1e-12
+    slope = np.linalg.inv(np.where(is_flat[:, None, None], np.eye(3), edges))  # of the last three weights
+    slope = np.concatenate([-slope.sum(axis=2, keepdims=True), slope], axis=2)
+    offset = np.eye(1, 4) - np.einsum("ni,nia->na", corners[:, 0], slope)
+    last = np.array(shape) - 1
+    low = np.maximum(np.ceil(corners.min(axis=1) - ON_FACE), 0).astype(int)
+    high = np.minimum(np.floor(corners.max(axis=1) + ON_FACE), last).astype(int)
+    n_rows = np.where(is_flat[:, None], 0, np.maximum(high - low + 1, 0))[:, :2]
+    piece, within = _expanded(n_rows[:, 0] * n_rows[:, 1])
+    row = low[piece, :2] + np.stack(np.divmod(within, np.maximum(n_rows[piece, 1], 1)), axis=1)
+    start, rate = offset[piece] + np.einsum("ni,nia->na", row, slope[piece, :2]), slope[piece, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        crossing = -(start + ON_FACE) / rate
+    enters = np.where(rate > 0, crossing, np.where((rate == 0) & (start < -ON_FACE), np.inf, -np.inf)).max(axis=1)
+    leaves = np.where(rate < 0, crossing, np.inf).min(axis=1)
+    first = np.ceil(np.clip(enters, 0, last[2] + 1)).astype(int)
+    after = np.floor(np.clip(leaves, -1, last[2])).astype(int) + 1
+    line, along = _expanded(np.maximum(after - first, 0))
+    k = first[line] + along
+    weights = start[line] + k[:, None] * rate[line]
+    return piece[line], np.column_stack([row[line], k]), weights
+
+
+def _expanded(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Owner and number within it of ``counts`` (n,) things each: two (sum,) arrays."""
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
 def _barycentric(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -85,9 +169,9 @@ def _barycentric(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 def linear_fit(values: np.ndarray, weights: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Least-squares linear function in each element; keeps the weighted mean.
 
-    values, weights (n_elements, n_qp), points (n_qp, 2) local coordinates -> coefficients (n_elements, 3) of
-    1, xi - 1/3, eta - 1/3.
+    values, weights (n_elements, n_qp), points (n_qp, 2 or 3) local coordinates -> coefficients (n_elements, 3 or 4) of
+    1 and the local coordinates less those of the centre.
     """
-    basis = np.column_stack([np.ones(len(points)), points - 1.0 / 3.0])
+    basis = np.column_stack([np.ones(len(points)), points - 1.0 / (points.shape[1] + 1)])
     mass = np.einsum("eq,qi,qj->eij", weights, basis, basis)
     return np.linalg.solve(mass, np.einsum("eq,eq,qi->ei", weights, values, basis)[..., None])[..., 0]

@@ -3,9 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from scipy.ndimage import map_coordinates
+
+TOWARDS = {"L": (0, 1), "R": (0, -1), "P": (1, 1), "A": (1, -1), "S": (2, 1), "I": (2, -1)}  # LPS axis and direction
+
+
+def _is_right_handed(letters: tuple[str, ...]) -> bool:
+    directions = np.zeros((3, 3))
+    for row, letter in enumerate(letters):
+        axis, sign = TOWARDS[letter]
+        directions[row, axis] = sign
+    return bool(np.linalg.det(directions) > 0.5)
+
+
+AXES = tuple("".join(letters) for letters in product(TOWARDS, repeat=3) if _is_right_handed(letters))
+"""Where the x, y and z of a file may lead without making a mirror image: "LPS", "RIA", ... (24 of them)."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +50,16 @@ class Volume:
     def with_values(self, values: np.ndarray) -> Volume:
         """Return other values on the same grid."""
         return Volume(values, self.spacing_mm, self.origin_mm)
+
+    def from_axes(self, axes: str) -> Volume:
+        """Return the same voxels (nz, ny, nx) in LPS, where x, y, z so far led as ``axes`` says: one of `AXES`."""
+        source = {TOWARDS[letter][0]: (old, TOWARDS[letter][1]) for old, letter in enumerate(axes)}
+        order = [source[new] for new in range(3)]  # old axis and direction of each new one
+        values = self.values.transpose([2 - old for old, _ in reversed(order)])
+        values = values[tuple(slice(None, None, sign) for _, sign in reversed(order))]
+        spacing = [self.spacing_mm[old] for old, _ in order]
+        ends = [self.axis(2 - old)[0 if sign > 0 else -1] * sign for old, sign in order]
+        return Volume(np.ascontiguousarray(values), (spacing[0], spacing[1], spacing[2]), (ends[0], ends[1], ends[2]))
 
     def voxel(self, points_mm: np.ndarray) -> np.ndarray:
         """Fractional voxel indices: points (..., 3) x, y, z [mm] -> (..., 3) z, y, x [1]."""

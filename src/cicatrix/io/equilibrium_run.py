@@ -1,4 +1,4 @@
-"""Mechanics alone: the shape of a body under gravity, or the shape it has without; by one process or by several ranks.
+"""Mechanics alone: the shape of a body under its loads, or the shape it has without; by one process or by several ranks.
 
 The first rank has the run's folder; the others solve with it, each with elements of its own.
 """
@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..core.errors import InputError
 from ..core.krylov import PetscEngine
 from ..core.newton import NewtonReport
 from ..core.petsc import petsc
@@ -19,7 +20,7 @@ from ..core.units import acceleration_mm_s2, ml_from_mm3
 from ..mechanics.body import Body
 from ..mechanics.division import layout_of, shared
 from ..mechanics.equilibrium import Equilibrium
-from ..study.equilibrium import solid_body
+from ..study.equilibrium import moved, solid_body
 from ..study.equilibrium_case import EquilibriumCase
 from .figures_equilibrium import shape_figure
 from .meshes import MeshedBody, read_body
@@ -43,7 +44,7 @@ class EquilibriumRun:
         with self.progress.stage("mesh"):
             given, body = _given(self.case, self.ranks)
         with self.progress.stage("solve"):
-            found, report, solver = _find(self.case, body, self.ranks, lambda words: self.progress.update(None, words))
+            found, report, solver = self._solve(given, body)
             for line in [*_how(self.case, self.ranks), *report.history]:
                 self.folder.note(line)
         with self.progress.stage("outcome"):
@@ -51,12 +52,15 @@ class EquilibriumRun:
         sought = "unloaded" if self.case.solver.inverse else "loaded"
         return f"The {sought} shape was found in {report.iterations} Newton iterations."
 
+    def _solve(self, given: MeshedBody, body: Body) -> tuple[np.ndarray, NewtonReport, Equilibrium]:
+        return _find(self.case, given, body, self.ranks, lambda words: self.progress.update(None, words))
+
     def _tell(
         self, given: MeshedBody, body: Body, found: np.ndarray, report: NewtonReport, solver: Equilibrium
     ) -> None:
         start = body.frame.space.positions
         X, x = (found, start) if self.case.solver.inverse else (start, found)
-        moved = (found - start)[: len(given.points)]
+        shift = (found - start)[: len(given.points)]
         energy = body.energy_density(X, x)
         for number, norm in enumerate(report.norms, 1):
             self.folder.record({"iteration": number, "residual_mN": norm})
@@ -66,7 +70,7 @@ class EquilibriumRun:
             0.0,
             given.points,
             given.tetrahedra,
-            {"displacement": moved, "fixed": given.is_fixed},
+            {"displacement": shift, "fixed": given.is_fixed},
             {
                 "strain_energy_density_kPa": energy.mean(axis=1),
                 "volume_ratio": body.dilation(X, x)[:, 0],
@@ -74,15 +78,14 @@ class EquilibriumRun:
             },
         )
         volume = body.volumes(start)
-        free, _ = body.frame.solved(False)
         self.folder.write_outcome(
             {
-                "max_displacement_mm": Quantity(np.linalg.norm(moved, axis=1).max(), "mm"),
+                "max_displacement_mm": Quantity(np.linalg.norm(shift, axis=1).max(), "mm"),
                 "strain_energy_uJ": Quantity(body.strain_energy(X, x), "uJ"),
                 "newton_iterations": Quantity(report.iterations, "1"),
                 "load_steps": Quantity(report.load_steps, "1"),
                 "factorizations": Quantity(solver.factorizations, "1"),
-                "n_dofs": Quantity(free.size, "1", "degrees of freedom that are free"),
+                "n_dofs": Quantity(body.frame.supports(False).n_unknowns, "1", "degrees of freedom that are free"),
                 "volume_ml": Quantity(ml_from_mm3(volume.sum()), "ml", "as given"),
                 "mass_g": Quantity(1e3 * float(np.sum(body.density * body.volumes(X))), "g"),
                 "largest_extent_mm": _extent(given.points),
@@ -93,8 +96,8 @@ class EquilibriumRun:
 
 def follow(case: EquilibriumCase, ranks: Ranks) -> None:
     """Solve with the first rank, which leads the run."""
-    _, body = _given(case, ranks)
-    _find(case, body, ranks, lambda words: None)
+    given, body = _given(case, ranks)
+    _find(case, given, body, ranks, lambda words: None)
 
 
 def _given(case: EquilibriumCase, ranks: Ranks) -> tuple[MeshedBody, Body]:
@@ -103,11 +106,39 @@ def _given(case: EquilibriumCase, ranks: Ranks) -> tuple[MeshedBody, Body]:
         ranks.agree(lambda: petsc().communicator(ranks))  # where that fails nothing else need be done
     mesh = case.body.mesh, case.body.mesh_unit
     given: Any = ranks.share(ranks.agree(lambda: read_body(*mesh) if ranks.is_first else None))
-    return given, solid_body(given.points, given.tetrahedra, given.is_fixed, given.E, given.nu, given.density)
+    return given, ranks.agree(lambda: _body(case, given, _on_petsc(case, ranks)))
+
+
+def _body(case: EquilibriumCase, given: MeshedBody, is_shared: bool) -> Body:
+    pressure, name = case.loads.pressure_kPa, case.body.mesh.name
+    body = solid_body(
+        given.points,
+        given.tetrahedra,
+        given.is_fixed,
+        given.E,
+        given.nu,
+        given.density,
+        is_sliding=given.is_sliding,
+        is_pressurised=given.is_pressurised,
+        pressure=pressure,
+    )
+    if pressure and body.pressure is None:
+        raise InputError(
+            f"{name}: loads.pressure_kPa = {pressure:g} acts on no face: mark the corners of some boundary faces by point "
+            "data `pressurised` = 1"
+        )
+    if case.solver.inverse and given.displacement.any():
+        raise InputError(f"{name}: point data `prescribed_displacement` must be 0 where solver.inverse = true")
+    if is_shared and (body.frame.sliding_nodes.size or body.frame.skin_facets.size):
+        raise InputError(
+            f"{name}: sliding walls and pressure are for one process: start it without mpiexec, with solver.linear = "
+            '"direct"'
+        )
+    return body
 
 
 def _find(
-    case: EquilibriumCase, body: Body, ranks: Ranks, tell: Callable[[str], None]
+    case: EquilibriumCase, given: MeshedBody, body: Body, ranks: Ranks, tell: Callable[[str], None]
 ) -> tuple[np.ndarray, NewtonReport, Equilibrium]:
     """Solve, all ranks together; each gets the whole shape (n_nodes, 3) [mm]."""
 
@@ -116,15 +147,17 @@ def _find(
         if ranks.share(ranks.is_interrupted):
             raise KeyboardInterrupt
 
-    on = None
+    held_at, on = moved(body, given.displacement) if given.displacement.any() else None, None
     if _on_petsc(case, ranks):
         body = shared(body, ranks)
-        layout = layout_of(body.frame)
-        on = ranks.agree(lambda: PetscEngine(layout, "gamg" if case.solver.linear == "gamg" else "mumps"))
+        on = PetscEngine(layout_of(body.frame), "gamg" if case.solver.linear == "gamg" else "mumps")
     solver = Equilibrium(case.solver.relative_tolerance, heard, on)
-    seek = solver.unloaded if case.solver.inverse else solver.loaded
+    X, gravity = body.frame.space.positions, acceleration_mm_s2(np.array(case.loads.gravity_m_s2))
     with ranks.all_or_none():
-        found, report = seek(body, body.frame.space.positions, acceleration_mm_s2(np.array(case.loads.gravity_m_s2)))
+        if case.solver.inverse:
+            found, report = solver.unloaded(body, X, gravity)
+        else:
+            found, report = solver.loaded(body, X, gravity, held_at=held_at)
     return found, report, solver
 
 

@@ -12,13 +12,14 @@ from matplotlib.figure import Figure
 from ..geometry.hexgrid import Lattice
 from ..geometry.labels import Label
 from ..mechanics.body import Body
-from ..study.lumpectomy import Anatomy, Plan
+from ..study.plans import Anatomy
+from ..study.section_plan import SectionPlan
 
 BEFORE, HEALED, WOUND = "#000000", "#d62728", "#e69f00"
 TISSUE_COLOURS = {Label.FAT: "#f0e442", Label.GLAND: "#0072b2", Label.SKIN: "#cc79a7", Label.TUMOUR: "#d55e00"}
 
 
-def section_figure(planned: Plan, anatomy: Anatomy) -> Figure:
+def section_figure(planned: SectionPlan, anatomy: Anatomy) -> Figure:
     """The section as imaged: picture, tissue classes, mesh, cavity."""
     figure = Figure(figsize=(12, 5.6), layout="constrained")
     axes = figure.subplots(1, 2)
@@ -52,7 +53,7 @@ def section_figure(planned: Plan, anatomy: Anatomy) -> Figure:
     return figure
 
 
-def energy_figure(planned: Plan, panels: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
+def energy_figure(planned: SectionPlan, panels: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
     """Strain energy on loaded shapes: title -> (positions (n_nodes, 3), energy (n_elements,) [kPa], shown (n_elements,))."""
     figure = Figure(figsize=(5 * len(panels), 5), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)
@@ -97,7 +98,7 @@ def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tupl
 
 
 def closure_figure(
-    planned: Plan, lattice: Lattice, fronts: Iterable[np.ndarray], rows: list[dict], title: str
+    planned: SectionPlan, lattice: Lattice, fronts: Iterable[np.ndarray], rows: list[dict], title: str
 ) -> Figure:
     """The wound's outline at the end of each cycle (G Fig. 5), and closure over time."""
     figure = Figure(figsize=(11, 5), layout="constrained")
@@ -113,9 +114,17 @@ def closure_figure(
     left.set_title(title)
     _dress(left, planned)
     left.autoscale_view()
-    days = [r["time_days"] for r in rows]
-    right.plot(days, [100 * r["closed_fraction"] for r in rows], "o-", color="#0072b2", label="closed [% of the area]")
-    radius = [np.sqrt(r["open_area_mm2"] / np.pi) for r in rows]
+    closure_curves(right, rows)
+    return figure
+
+
+def closure_curves(right: Axes, rows: list[dict]) -> None:
+    """What is closed, the radius of a disc or ball of the same size, and the asymmetry, over time."""
+    days, solid = [r["time_days"] for r in rows], "open_volume_mm3" in rows[0]
+    what = "volume" if solid else "area"
+    closed = [100 * r["closed_fraction"] for r in rows]
+    right.plot(days, closed, "o-", color="#0072b2", label=f"closed [% of the {what}]")
+    radius = [np.cbrt(r["open_volume_mm3"]) if solid else np.sqrt(r["open_area_mm2"] / np.pi) for r in rows]
     right.plot(
         days, [100 * q / radius[0] for q in radius], "s--", color=WOUND, label="equivalent radius [% of the first]"
     )
@@ -125,11 +134,10 @@ def closure_figure(
     right.set_ylim(-2, 102)
     right.grid(alpha=0.3)
     right.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8, columnspacing=1.0)
-    return figure
 
 
 def outline_figure(
-    planned: Plan, shapes: Mapping[str, list[tuple[str, np.ndarray]]], cavity: Mapping[str, np.ndarray]
+    planned: SectionPlan, shapes: Mapping[str, list[tuple[str, np.ndarray]]], cavity: Mapping[str, np.ndarray]
 ) -> Figure:
     """Breast outlines as the tissue heals (G Fig. 6): position -> [(name, positions (n_nodes, 3)), ...], healed last.
 
@@ -160,11 +168,11 @@ def outline_figure(
     return figure
 
 
-def _cavity_edges(planned: Plan) -> np.ndarray:
+def _cavity_edges(planned: SectionPlan) -> np.ndarray:
     return planned.intact.frame.space.facet_nodes(planned.cavity_border)[:, :2]
 
 
-def _dress(ax: Axes, planned: Plan) -> None:
+def _dress(ax: Axes, planned: SectionPlan) -> None:
     """Equal scales, names with units, and axes the way radiologists look: posterior down, superior up."""
     ax.set_aspect("equal")
     labels = planned.section.axis_labels

@@ -15,36 +15,25 @@ from ..healing.automaton import AutomatonState
 from ..image.phantom import phantom
 from ..image.segment import Segmentation, from_labels, segment
 from ..mechanics.equilibrium import Equilibrium
+from ..outcome.closure import middle_layer, wound_centre
 from ..study.case import LumpectomyCase
 from ..study.lumpectomy import (
-    Anatomy,
-    Plan,
     equilibrium_of,
     healing_cycle,
     imaged_in,
     last_cycle,
-    margin_mm,
     plan,
-    plan_arrays,
     plan_from_arrays,
     visit_cycles,
 )
-from ..study.summary import (
-    closing_sentence,
-    closure_numbers,
-    edge_profile,
-    history_row,
-    outcome_numbers,
-    shape_numbers,
-    visit_name,
-)
-from . import figures
+from ..study.plans import Anatomy, Plan
+from ..study.solid_plan import SolidPlan
+from ..study.summary import closing_sentence, closure_numbers, history_row, outcome_numbers, visit_name
 from .checkpoints import Checkpoint
 from .images import read_image, read_labels
+from .lumpectomy_figures import BEFORE, FRESH, HEALED, first_figure, last_figures
 from .progress import Progress
 from .results import Quantity, RunFolder
-
-BEFORE, FRESH, HEALED = "before", "fresh", "healed"
 
 
 def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[Anatomy, tuple[str, ...]]:
@@ -64,14 +53,19 @@ def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[
             )
             tumour = truth.position(np.argwhere(truth.values == Label.TUMOUR).mean(axis=0))
         elif image.path is not None:
-            picture = read_image(image.path)
+            picture = _turned(read_image(image.path), image.axes)
     with progress.stage("segment"):
         if image.labels is not None:
-            found = from_labels(read_labels(image.labels))
+            found = from_labels(_turned(read_labels(image.labels), image.axes))
         else:
             centre = case.resection.centre_mm if tumour is None else tuple(tumour.tolist())
             found = _segment(case, picture, centre, progress)
     return Anatomy(picture, found.labels, found.probabilities, tumour), found.notes
+
+
+def _turned(volume: Volume, axes: str | None) -> Volume:
+    """The volume as the case says that it lies, where the file is wrong."""
+    return volume if axes is None else volume.from_axes(axes)
 
 
 def _segment(
@@ -100,7 +94,7 @@ class LumpectomyRun:
     folder: RunFolder
     progress: Progress
     shapes: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (position, moment) -> x (n_nodes, 3)
-    fronts: list[np.ndarray] = field(default_factory=list)  # open sites after each cycle
+    fronts: list[np.ndarray] = field(default_factory=list)  # open sites after each cycle; of a solid, one layer of them
     rows: list[dict] = field(default_factory=list)
 
     def go(self) -> str:
@@ -125,12 +119,14 @@ class LumpectomyRun:
             self.folder.note(note)
         with self.progress.stage("mesh"):
             planned = plan(self.case, anatomy)
-            margin, wanted = margin_mm(planned, anatomy), self.case.resection.margin_mm
+            for note in planned.notes:
+                self.folder.note(note)
+            margin, wanted = planned.margin_mm(anatomy), self.case.resection.margin_mm
             if margin < wanted:
                 self.folder.note(
                     f"the resection leaves {margin:.1f} mm around the tumour; resection.margin_mm is {wanted:g}"
                 )
-            self.folder.save_figure("section", figures.section_figure(planned, anatomy))
+            self.folder.save_figure("section", first_figure(planned, anatomy))
         equilibrium = self._equilibrium()
         with self.progress.stage("unload"):
             X, report = equilibrium.unloaded(
@@ -173,7 +169,8 @@ class LumpectomyRun:
         for weeks, at in visit_cycles(self.case).items():
             if at == state.cycle:
                 self._visit(planned, cycle, state, visit_name(weeks))
-        self.fronts.append(cycle.open_sites(state.healing))
+        centre = wound_centre(cycle.automaton.open0)
+        self.fronts.append(middle_layer(cycle.open_sites(state.healing), centre))
         self.rows.append(history_row(cycle, state))
         self.folder.record(self.rows[-1])
         body = cycle.body(state)
@@ -184,9 +181,9 @@ class LumpectomyRun:
             "body",
             state.cycle,
             cycle.days(state.cycle),
-            cycle.X[: space.bubbles[0]],
-            space.element_nodes[:, :6],
-            {"displacement": (state.x - cycle.X)[: space.bubbles[0]]},
+            cycle.X[: space.n_shape_nodes],
+            space.shape_nodes,
+            {"displacement": (state.x - cycle.X)[: space.n_shape_nodes]},
             {
                 "filled_fraction": state.filled,
                 "strain_energy_density_kPa": W,
@@ -208,7 +205,7 @@ class LumpectomyRun:
             self.shapes[position, moment] = cycle.extension.fill(x, body.fraction)
 
     def _arrays(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> dict[str, np.ndarray]:
-        arrays = {f"plan.{name}": array for name, array in plan_arrays(planned).items()}
+        arrays = {f"plan.{name}": array for name, array in planned.arrays().items()}
         arrays |= {f"shape.{position}.{moment}": x for (position, moment), x in self.shapes.items()}
         arrays |= {f"factor.{name}": array for name, array in cycle.equilibrium.kept().items()}
         arrays |= {"X": cycle.X, "x": state.x, "natural": state.natural, "filled": state.filled}
@@ -263,41 +260,26 @@ class LumpectomyRun:
                 for position in self._positions:
                     self.shapes[position, visit_name(weeks)] = self.shapes[position, HEALED]
         changes = {
-            (position, moment): shape_numbers(planned, self.shapes[position, BEFORE], x)
+            (position, moment): planned.change(self.shapes[position, BEFORE], x)
             for (position, moment), x in self.shapes.items()
             if moment != BEFORE and position in self.case.outcome.positions
         }
         main = self._home if self._home in self.case.outcome.positions else self.case.outcome.positions[0]
         numbers = closure_numbers(cycle, state, self.rows) | outcome_numbers(changes, (main, HEALED))
         self.folder.write_outcome({name: Quantity(n.value, n.unit, n.note) for name, n in numbers.items()})
-        self._draw(planned, cycle, state)
+        if isinstance(planned, SolidPlan):
+            self._write_surfaces(planned)
+        for name, figure in last_figures(self.case, planned, cycle, state, self.shapes, self.fronts, self.rows):
+            self.folder.save_figure(name, figure)
 
-    def _draw(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> None:
-        mode = f"{self.case.coupling.mode} coupling, healing {self._home}"
-        self.folder.save_figure(
-            "closure", figures.closure_figure(planned, cycle.automaton.lattice, self.fronts, self.rows, mode)
-        )
-        moments = [BEFORE, FRESH, *(visit_name(w) for w in self.case.outcome.visits_weeks), HEALED]
-        shapes = {
-            p: [(m, self.shapes[p, m]) for m in moments if (p, m) in self.shapes] for p in self.case.outcome.positions
-        }
-        cavity = {p: self.shapes[p, HEALED] for p in self.case.outcome.positions}
-        self.folder.save_figure("outline", figures.outline_figure(planned, shapes, cavity))
-        before, x_fresh = self.shapes[self._home, BEFORE], self.shapes[self._home, FRESH]
-        fresh = cycle.body(cycle.unhealed(x_fresh))
-        panels = {
-            "before surgery": figures.energy_panel(planned.intact, cycle.X, before),
-            "fresh cavity": figures.energy_panel(fresh, cycle.X, x_fresh),
-            closing_word(state): figures.energy_panel(cycle.body(state), cycle.X, state.x),
-        }
-        self.folder.save_figure("energy", figures.energy_figure(planned, panels))
-        edge = edge_profile(planned, planned.intact, cycle.X, before), edge_profile(planned, fresh, cycle.X, x_fresh)
-        self.folder.save_figure("edge-energy", figures.edge_figure({self._home: edge}))
-
-
-def closing_word(state: TissueState) -> str:
-    """What the last shape is called."""
-    return HEALED if state.is_closed else "at the last week"
+    def _write_surfaces(self, planned: SolidPlan) -> None:
+        """The outer surface before surgery and healed, in each position."""
+        for position in self.case.outcome.positions:
+            before = self.shapes[position, BEFORE]
+            for moment in (BEFORE, HEALED):
+                x = self.shapes[position, moment]
+                data = {"displacement": x - before, "retraction_mm": planned.retraction(before, x)}
+                self.folder.write_surface(f"{position}-{moment}", x, planned.space.boundary, data)
 
 
 def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

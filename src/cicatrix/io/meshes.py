@@ -10,8 +10,10 @@ import meshio
 import numpy as np
 
 from ..core.errors import InputError
-from ..core.units import density_kg_mm3, mm_from
-from ..geometry.tetrahedra import check, unmirrored
+from ..core.units import density_kg_m3, density_kg_mm3, mm_from
+from ..geometry.meshing3d import BodyMesh
+from ..geometry.tetrahedra import boundary, check, unmirrored
+from .fields import write_vtu
 
 CELLS = {"tetra": 4, "tetra10": 10}
 SURFACES = ("vertex", "line", "line3", "triangle", "triangle6")  # what mesh generators write beside the tetrahedra
@@ -29,6 +31,10 @@ class MeshedBody:
         Corners, then middles of edges.
     is_fixed : (n,) bool array
         Nodes that are held.
+    displacement : (n, 3) array [mm]
+        How far they are moved; 0 at the others.
+    is_sliding, is_pressurised : (n,) bool arrays
+        Corners of boundary faces that slide along themselves, and of those that bear pressure.
     E, nu, density : (m,) arrays [kPa], [1], [kg/mm^3]
         Tissue of each tetrahedron.
     """
@@ -36,6 +42,9 @@ class MeshedBody:
     points: np.ndarray
     tetrahedra: np.ndarray
     is_fixed: np.ndarray
+    displacement: np.ndarray
+    is_sliding: np.ndarray
+    is_pressurised: np.ndarray
     E: np.ndarray
     nu: np.ndarray
     density: np.ndarray
@@ -47,7 +56,8 @@ def read_body(path: Path, unit: str) -> MeshedBody:
     Parameters
     ----------
     path : Path
-        The file, with cell data ``youngs_modulus_kPa``, ``poisson_ratio``, ``density_kg_m3`` and point data ``fixed``.
+        The file, with cell data ``youngs_modulus_kPa``, ``poisson_ratio``, ``density_kg_m3`` and point data ``fixed``; where
+        there are, also point data ``prescribed_displacement`` [mm], ``sliding`` and ``pressurised``.
     unit : {"mm", "cm", "m"}
         Unit of its coordinates.
 
@@ -66,6 +76,13 @@ def read_body(path: Path, unit: str) -> MeshedBody:
         raise InputError(f"{path.name}: {error}") from None
 
 
+def write_body(path: Path, mesh: BodyMesh, E: np.ndarray, nu: np.ndarray, density: np.ndarray) -> None:
+    """Write what ``read_body`` reads: a mesh with E [kPa], nu [1] and density [kg/mm^3] of its tetrahedra (m,)."""
+    tissue = {"youngs_modulus_kPa": E, "poisson_ratio": nu, "density_kg_m3": density_kg_m3(density)}
+    is_fixed = np.isin(np.arange(len(mesh.nodes)), mesh.held_nodes)
+    write_vtu(path, mesh.nodes, mesh.tetrahedra, {"fixed": is_fixed}, tissue)
+
+
 def _body(mesh: meshio.Mesh, unit: str) -> MeshedBody:
     kinds = {block.type for block in mesh.cells}
     wrong = sorted(kinds - CELLS.keys() - set(SURFACES))
@@ -77,23 +94,61 @@ def _body(mesh: meshio.Mesh, unit: str) -> MeshedBody:
     if points.shape[1:] != (3,):
         raise InputError("the nodes must have three coordinates")
     tetrahedra = unmirrored(points, np.vstack([block.data for block in mesh.cells if block.type == kind]).astype(int))
-    is_fixed = _fixed(mesh.point_data, len(points))
-    check(points, tetrahedra, is_fixed)
+    if "fixed" not in mesh.point_data:
+        raise InputError("point data `fixed` (1 where a node is held, else 0) are missing")
+    is_fixed, is_sliding, is_pressurised = (
+        _marked(mesh.point_data, name, len(points)) for name in ("fixed", "sliding", "pressurised")
+    )
+    check(points, tetrahedra, is_fixed, is_sliding)
+    _check_faces("sliding", is_sliding, tetrahedra)
+    _check_faces("pressurised", is_pressurised, tetrahedra)
+    displacement = _displacement(mesh.point_data, is_fixed)
     data = {name: _cell_data(mesh, name, kind) for name in ("youngs_modulus_kPa", "poisson_ratio", "density_kg_m3")}
     E, nu, density = data.values()
     _refuse(E <= 0.0, "youngs_modulus_kPa must be above 0", E)
     _refuse((nu < 0.0) | (nu >= 0.5), "poisson_ratio must be at least 0 and below 0.5", nu)
     _refuse(density < 0.0, "density_kg_m3 must be at least 0", density)
-    return MeshedBody(points, tetrahedra, is_fixed, E, nu, density_kg_mm3(density))
+    return MeshedBody(
+        points, tetrahedra, is_fixed, displacement, is_sliding, is_pressurised, E, nu, density_kg_mm3(density)
+    )
 
 
-def _fixed(point_data: Mapping[str, np.ndarray], n: int) -> np.ndarray:
-    if "fixed" not in point_data:
-        raise InputError("point data `fixed` (1 where a node is held, else 0) are missing")
-    values = np.asarray(point_data["fixed"]).reshape(n, -1)[:, 0]
-    if not np.isin(values, (0, 1)).all():
-        raise InputError("point data `fixed` must be 0 or 1")
-    return values == 1
+def _marked(point_data: Mapping[str, np.ndarray], name: str, n: int) -> np.ndarray:
+    """Nodes that are marked by 1 (n,) bool; none where the file has no such data."""
+    values = np.asarray(point_data.get(name, np.zeros(n)))
+    if values.size != n or not np.isin(values, (0, 1)).all():
+        raise InputError(f"point data `{name}` must be 0 or 1")
+    return values.reshape(n) == 1
+
+
+def _displacement(point_data: Mapping[str, np.ndarray], is_fixed: np.ndarray) -> np.ndarray:
+    """How far nodes are to move (n, 3) [mm]."""
+    name = "prescribed_displacement"
+    values = np.asarray(point_data.get(name, np.zeros((len(is_fixed), 3))), float)
+    if values.shape != (len(is_fixed), 3):
+        raise InputError(f"point data `{name}` must have three components [mm]")
+    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if bad.size:
+        raise InputError(f"point data `{name}` must be finite numbers; node {bad[0]} has {values[bad[0]].tolist()}")
+    loose = np.flatnonzero(values.any(axis=1) & ~is_fixed)
+    if loose.size:
+        raise InputError(
+            f"point data `{name}` move {loose.size} nodes that are not fixed, the first is node {loose[0]}: set `fixed` = 1 there"
+        )
+    return values
+
+
+def _check_faces(name: str, is_marked: np.ndarray, tetrahedra: np.ndarray) -> None:
+    """Refuse marked corners that make up no boundary face."""
+    faces = boundary(tetrahedra[:, :4])
+    lonely = is_marked.copy()
+    lonely[faces[is_marked[faces].all(axis=1)]] = False
+    lonely[np.setdiff1d(np.arange(len(lonely)), tetrahedra[:, :4])] = False  # middles follow their corners
+    if lonely.any():
+        raise InputError(
+            f"point data `{name}` mark {np.count_nonzero(lonely)} nodes that are on no boundary face with all three corners "
+            f"marked, the first is node {np.flatnonzero(lonely)[0]}: mark whole faces"
+        )
 
 
 def _cell_data(mesh: meshio.Mesh, name: str, kind: str) -> np.ndarray:

@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import ConvergenceError, InputError
+from ..geometry.transfer import QUARTERS
 from ..geometry.volume import Volume
 from . import checkpoints
 from .atomic import replacing, write_json
@@ -28,8 +29,9 @@ from .history import History, read_history
 from .images import write_volume
 from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
 from .progress import Progress
+from .surfaces import write_stl
 
-PRODUCTS = ("checkpoint", "outcome.json", "history.csv", "fields", "figures", "labels.nii.gz")
+PRODUCTS = ("checkpoint", "outcome.json", "history.csv", "fields", "surfaces", "figures", "labels.nii.gz")
 
 
 @dataclass(frozen=True)
@@ -202,6 +204,16 @@ class RunFolder:
         self._frames = [*(other for other in self._frames if other.file != frame.file), frame]
         write_series(self.path / "fields", self._frames)
         return path
+
+    def write_surface(
+        self, name: str, points: np.ndarray, faces: np.ndarray, point_data: Mapping[str, np.ndarray]
+    ) -> None:
+        """Write ``surfaces/NAME.vtu`` and ``.stl``: P2 triangles (n, 6), seen from outside, point data (n_points, ...)."""
+        used, renumbered = np.unique(faces, return_inverse=True)
+        faces = renumbered.reshape(faces.shape)
+        data = {key: values[used] for key, values in point_data.items()}
+        write_vtu(self.path / "surfaces" / f"{name}.vtu", points[used], faces, data)
+        write_stl(self.path / "surfaces" / f"{name}.stl", points[used], faces[:, QUARTERS].reshape(-1, 3))
 
     def save_figure(self, name: str, figure: Any, dpi: int = 150) -> Path:
         """Write a matplotlib figure to ``figures/NAME.png``, whole or not at all; equal figures give equal bytes."""

@@ -40,3 +40,8 @@ def moduli_from_young(E, nu):
     Source: Garbey et al., Eq. (2). E [kPa] and nu [1] broadcast; returns (mu, kappa) [kPa].
     """
     return E / (2.0 * (1.0 + nu)), E / (3.0 * (1.0 - 2.0 * nu))
+
+
+def young_from_moduli(mu, kappa):
+    """Undo ``moduli_from_young``: E = 9 kappa mu / (3 kappa + mu), nu = (3 kappa - 2 mu) / (6 kappa + 2 mu); (E, nu)."""
+    return 9.0 * kappa * mu / (3.0 * kappa + mu), (3.0 * kappa - 2.0 * mu) / (6.0 * kappa + 2.0 * mu)

@@ -16,6 +16,7 @@ from jax import Array
 from ..core.ranks import Ranks
 from ..materials.material import EnergyMaterial
 from .elements import (
+    NORMAL,
     Bulk,
     Linearised,
     Membrane,
@@ -23,6 +24,7 @@ from .elements import (
     bulk_force,
     deformation_gradient,
     dilation,
+    facet_force,
     kept_share,
     linearised,
     linearised_reference,
@@ -32,6 +34,7 @@ from .elements import (
 )
 from .pattern import Pattern
 from .space import SolidSpace, Space
+from .supports import Supports
 
 # the fused code generator of XLA takes twice as long to compile these kernels, and they run no faster for it
 PIECE = 2048  # elements that are linearised at a time
@@ -40,16 +43,20 @@ COMPILER = {"xla_cpu_use_fusion_emitters": False}
 
 @dataclass(frozen=True, eq=False)
 class Frame:
-    """What never changes while a body deforms and heals: space, skin edges, fixed nodes, pattern.
+    """What never changes while a body deforms and heals: space, skin, fixed nodes, pattern.
 
     Parameters
     ----------
     space : Space or SolidSpace
         Nodes and elements.
-    skin_facets : (n_edges,) int array
-        Mesh edges that carry the skin membrane; none in a solid yet.
+    skin_facets : (n_facets,) int array
+        What carries the skin membrane: edges of a section's mesh, boundary faces of a solid by their numbers.
     fixed_nodes : (n,) int array
         Nodes held at their place (chest wall).
+    sliding_nodes : (m,) int array, optional
+        Nodes held along a direction only, free across it; a node held along several is there several times.
+    sliding_normals : (m, 3) array [1], optional
+        These directions, of length 1 (:func:`.supports.walls` finds those of a wall).
     ranks : Ranks
         Who shares the body: each rank has elements of its own and all of the nodes, and what is summed over elements is
         summed over those of all ranks. Shared bodies are made by :mod:`.division`.
@@ -58,11 +65,13 @@ class Frame:
     space: Space | SolidSpace
     skin_facets: np.ndarray
     fixed_nodes: np.ndarray
+    sliding_nodes: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    sliding_normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
     ranks: Ranks = field(default_factory=Ranks)
 
     @cached_property
     def skin_nodes(self) -> np.ndarray:
-        """Nodes of the skin edges (n_edges, 3)."""
+        """Nodes of the skin: edges of a section (n_facets, 3), faces of a solid (n_facets, 6)."""
         return self.space.facet_nodes(self.skin_facets)
 
     @cached_property
@@ -78,6 +87,27 @@ class Frame:
             elements = [self.space.element_nodes, self.skin_nodes]
             self._solved[in_plane] = dofs, Pattern(elements, nodes, self.space.n_nodes, components)
         return self._solved[in_plane]
+
+    @cached_property
+    def _supports(self) -> dict[bool, Supports]:
+        return {}
+
+    def supports(self, in_plane: bool) -> Supports:
+        """What is solved for; matrices of a body are on the free degrees of freedom, before walls are let in."""
+        if in_plane not in self._supports:
+            loose = ~np.isin(self.sliding_nodes, self.fixed_nodes)
+            nodes, normals = self.sliding_nodes[loose], self.sliding_normals[loose]
+            if in_plane:  # the normal of the section is held there too
+                nodes = np.concatenate([nodes, nodes])
+                normals = np.concatenate([normals, np.broadcast_to(NORMAL, normals.shape)])
+            free = self.solved(in_plane)[0]
+            self._supports[in_plane] = Supports(free, nodes, normals, 3 * self.space.n_nodes)
+        return self._supports[in_plane]
+
+    def empty_matrix(self, in_plane: bool) -> sp.bsr_array:
+        """A matrix of zeros on what is solved for."""
+        _, pattern = self.solved(in_plane)
+        return self.supports(in_plane).matrix(pattern.matrix(pattern.zeros(), np.zeros(pattern.n_dofs)))
 
     def scatter(self, forces: list[Array]) -> np.ndarray:
         """Sum forces of elements and skin edges [(n, a, 3), ...] -> (n_nodes, 3)."""
@@ -102,7 +132,7 @@ class Body:
     Parameters
     ----------
     frame : Frame
-        Space, skin edges, fixed nodes.
+        Space, skin, fixed nodes.
     law : EnergyMaterial
         Constitutive law; parameters are numbers or (n_elements, n_qp) arrays.
     density : (n_elements, n_qp) array [kg/mm^3]
@@ -111,10 +141,15 @@ class Body:
         Share of each element that is tissue; an element at 0 is out of the mechanics altogether.
     skin : EnergyMaterial
         Law of the skin membrane.
-    skin_thickness : (n_edges,) array [mm]
+    skin_thickness : (n_facets,) array [mm]
         0 where there is no skin.
     wrinkling_strain : float [1]
-        Shortening at which the skin wrinkles and bears no more.
+        Shortening at which the skin wrinkles and bears no more (:func:`.elements.membrane_energy`). In a solid the push N that
+        it still bears, at most its modulus times this times the thickness, buckles it on the mesh where waves shorter than
+        about pi N / mu, mu of the tissue below, can be told: choose it so small that they cannot.
+    pressure : (n_facets,) array [kPa], optional
+        From outside on the faces of ``frame.skin_facets`` of a solid, against their outward normal as it turns. The tangent is
+        symmetric where these faces close, or end where nodes are fixed or slide along planes, and not where they end freely.
     """
 
     frame: Frame
@@ -124,6 +159,7 @@ class Body:
     skin: EnergyMaterial
     skin_thickness: np.ndarray
     wrinkling_strain: float = 0.1
+    pressure: np.ndarray | None = None
 
     @cached_property
     def kept(self) -> np.ndarray:
@@ -140,13 +176,20 @@ class Body:
         """The same frame and skin, other tissue; refuses nothing and compiles nothing."""
         return replace(self, law=law, density=density, fraction=fraction)
 
+    def under(self, share: float) -> Body:
+        """The same body under a share of its pressure."""
+        return self if self.pressure is None else replace(self, pressure=share * self.pressure)
+
     @property
     def _bulk(self) -> Bulk:
         return Bulk(self.law, jnp.asarray(self.density), jnp.asarray(self.fraction), jnp.asarray(self.kept))
 
     @property
     def _membrane(self) -> Membrane:
-        return Membrane(self.skin, jnp.asarray(self.skin_thickness), jnp.asarray(self.wrinkling_strain))
+        pressure = np.zeros(len(self.skin_thickness)) if self.pressure is None else self.pressure
+        return Membrane(
+            self.skin, jnp.asarray(self.skin_thickness), jnp.asarray(self.wrinkling_strain), jnp.asarray(pressure)
+        )
 
     @cached_property
     def active_nodes(self) -> np.ndarray:
@@ -210,7 +253,7 @@ class Body:
         data, rates = pattern.zeros(), VolumeRates.empty(*J_bar.shape, 3 * cells.shape[1])
         for piece, done in _pieces(len(cells)):
             part = linearise(X[cells[piece]], x[cells[piece]], J_bar[piece], _part(bulk, piece, len(cells)))
-            pattern.add(data, 0, piece.start + done, np.asarray(part.stiffness)[done:])
+            pattern.add_contracted(data, 0, piece.start + done, [np.asarray(factor)[done:] for factor in part[:4]])
             rates.force_rate[piece], rates.volume_rate[piece] = part.force_rate, part.volume_rate
         pattern.add(data, 1, 0, np.asarray(skin))
         diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
@@ -246,7 +289,7 @@ class Body:
         return float(bulk + np.sum(_skin_energies(self._tables, X[edges], x[edges], self._membrane)))
 
     def potential(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray) -> float:
-        """Strain energy minus the work of gravity from X to x, per depth [mN]: what a stable equilibrium minimises."""
+        """Strain energy minus the work of gravity from X to x, per depth [mN]: least in a stable equilibrium without pressure."""
         moved = np.einsum("qa,eai->eqi", self.frame.space.table.value, (x - X)[self.frame.space.element_nodes])
         mass = self.density * self.volumes(X) * self.fraction[:, None]
         work = float(np.einsum("eq,eqi,i->", mass, moved, gravity))
@@ -352,7 +395,7 @@ def _dilations(tables, X_cells, x_cells, bulk):
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
 def _forces(tables, X_cells, x_cells, X_edges, x_edges, J_bar, bulk, membrane, gravity):
     cells = bulk_force(X_cells, x_cells, J_bar, bulk, gravity, tables.bulk)
-    return [cells, membrane_force(X_edges, x_edges, membrane, tables.edge)]
+    return [cells, facet_force(X_edges, x_edges, membrane, tables.edge)]
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
@@ -362,7 +405,7 @@ def _linearisations(tables, X_cells, x_cells, J_bar, bulk):
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
 def _skin_tangents(tables, X_edges, x_edges, membrane):
-    return tangent(lambda y: membrane_force(X_edges, y, membrane, tables.edge), x_edges)
+    return tangent(lambda y: facet_force(X_edges, y, membrane, tables.edge), x_edges)
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)

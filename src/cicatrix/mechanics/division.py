@@ -22,16 +22,16 @@ def shared(body: Body, ranks: Ranks) -> Body:
     Parameters
     ----------
     body : Body
-        A solid without skin, whole and the same on every rank.
+        A solid without skin, pressure and sliding nodes, whole and the same on every rank.
     ranks : Ranks
         Who shares it.
     """
     frame = body.frame
-    if not isinstance(frame.space, SolidSpace) or frame.skin_facets.size:
-        raise InvariantError("ranks share bodies of tetrahedra without skin only")
+    if not isinstance(frame.space, SolidSpace) or frame.skin_facets.size or frame.sliding_nodes.size:
+        raise InvariantError("ranks share bodies of tetrahedra without skin, pressure and sliding nodes only")
     n, cells = frame.space.n_elements, frame.space.element_nodes
     mine = bisected(frame.space.positions[cells].mean(axis=1), ranks.size) == ranks.rank
-    part = Frame(replace(frame.space, element_nodes=cells[mine]), frame.skin_facets, frame.fixed_nodes, ranks)
+    part = Frame(replace(frame.space, element_nodes=cells[mine]), frame.skin_facets, frame.fixed_nodes, ranks=ranks)
     law = jax.tree.map(lambda leaf: leaf[mine] if np.ndim(leaf) and len(leaf) == n else leaf, body.law)
     return replace(body, frame=part, law=law, density=body.density[mine], fraction=body.fraction[mine])
 

@@ -35,13 +35,15 @@ class Bulk(NamedTuple):
 
 
 class Membrane(NamedTuple):
-    """Skin: an incompressible membrane along boundary edges."""
+    """Skin: an incompressible membrane along boundary edges of a section, on boundary faces of a solid; pressure on these."""
 
     law: EnergyMaterial
     thickness: Array
-    """Reference thickness (n_edges,) [mm]."""
+    """Reference thickness (n_facets,) [mm]."""
     wrinkling_strain: Array
     """Shortening at which it wrinkles [1]."""
+    pressure: Array | float = 0.0
+    """On a solid's faces from outside, along the normal that they have now (n_facets,) [kPa]."""
 
 
 def local_map(x: Array, gradient: np.ndarray) -> Array:
@@ -183,10 +185,19 @@ def _mean_stress(law: EnergyMaterial, F: Array, J_bar: Array) -> Array:
 
 
 class Linearised(NamedTuple):
-    """First order of ``bulk_force`` about (u, J_bar), u the positions x or X, with J_bar then tied to them again."""
+    """First order of ``bulk_force`` about (u, J_bar), u the positions x or X, with J_bar then tied to them again.
 
-    stiffness: Array
-    """Change of force by du, J_bar along with it (n, 3a, 3a) [mN/mm^2]."""
+    Element matrices are left as what they are contracted from, :func:`..core.native.add_contracted`.
+    """
+
+    slopes: Array
+    """B, gradients of the shape functions along the element's axes (n, n_qp, a, n_axes) [1/mm]."""
+    tangent: Array
+    """Tangent of each point times its weight (n, n_qp, 3, n_axes, 3, n_axes)."""
+    columns: Array
+    """Left factors of what is of rank one at each point (n, m, 3a)."""
+    rows: Array
+    """Right factors (n, m, 3a)."""
     force_rate: Array
     """Change of force by J_bar at each quadrature point (n, n_qp, 3a) [mN/mm]."""
     volume_rate: Array
@@ -231,28 +242,16 @@ def _to_nodes(B: Array, P: Array) -> Array:
     return jnp.einsum("eqaJ,eqiJ->eqai", B, P).reshape(*B.shape[:2], -1)
 
 
-def _sandwich(B: Array, A: Array) -> Array:
-    """Sum of B A B over quadrature points: A (n, n_qp, 3, axes, 3, axes) -> (n, 3a, 3a)."""
-    n, _, a, _ = B.shape
-    K = jnp.einsum("eqaJ,eqJikb->eaikb", B, jnp.einsum("eqiJkL,eqbL->eqJikb", A, B))
-    return jnp.swapaxes(K, -1, -2).reshape(n, 3 * a, 3 * a)
-
-
-def _outer(left: Array, right: Array) -> Array:
-    """Sum over quadrature points of columns times rows: (n, n_qp, 3a), (n, n_qp, 3a) -> (n, 3a, 3a)."""
-    return jnp.swapaxes(left, 1, 2) @ right
-
-
 def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Linearised:
-    """By x: point tangents contracted to element matrices.
+    """By x.
 
-    ``tangent`` of ``tied_force`` by x is the slow twin where J_bar = J_bar(x).
+    ``tangent`` of ``tied_force`` by x is the slow twin of its contraction where J_bar = J_bar(x).
     """
     r = _rates(X, x, J_bar, bulk, table)
-    K = _sandwich(r.B, r.weights[..., None, None, None] * r.P_by_F)
-    K += _outer(r.force_by_volume, r.volume_by_x)
-    K += _outer(r.weights * r.volume_by_x, _to_nodes(r.B, r.mean_by_F))
-    return Linearised(K, r.force_by_volume, _where_tissue(bulk, r.volume_by_x))
+    columns = jnp.concatenate([r.force_by_volume, r.weights * r.volume_by_x], axis=1)
+    rows = jnp.concatenate([r.volume_by_x, _to_nodes(r.B, r.mean_by_F)], axis=1)
+    tangent = r.weights[..., None, None, None] * r.P_by_F
+    return Linearised(r.B, tangent, columns, rows, r.force_by_volume, _where_tissue(bulk, r.volume_by_x))
 
 
 def linearised_reference(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, table: Table) -> Linearised:
@@ -267,19 +266,23 @@ def linearised_reference(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: 
     swept = _to_nodes(r.B, jnp.broadcast_to(along.T, r.P.shape))  # tr H
     A = -jnp.einsum("eqiJmL,eqmk->eqiJkL", r.P_by_F, r.F)
     A += jnp.einsum("eqiJ,Lk->eqiJkL", r.P, along) - jnp.einsum("eqiL,Jk->eqiJkL", r.P, along)
-    K = _sandwich(r.B, r.weights[..., None, None, None] * A)
     J = det(r.F)
     as_it_is, _ = r.smoothing.split(swept)
     mean_only = r.smoothing.split(r.smoothing.projected(J)[..., None] * swept)[1]
     volume_rate = -(J[..., None] * as_it_is + mean_only)
-    K += _outer(r.force_by_volume, volume_rate)
     excess = r.mean - r.smoothing.projected(r.mean)
     by_projection = r.smoothing.split(_to_nodes(r.B, cofactor(r.F)[..., :axes]))[1]
-    K += _outer(r.weights * by_projection, excess[..., None] * swept)
-    K -= _outer(r.weights * r.volume_by_x, _to_nodes(r.B, jnp.einsum("eqiJ,eqik->eqkJ", r.mean_by_F, r.F)))
+    by_mean = _to_nodes(r.B, jnp.einsum("eqiJ,eqik->eqkJ", r.mean_by_F, r.F))
     weight = (table.value[:, :, None] * gravity).reshape(len(table.value), -1)
-    K -= _outer(r.weights * bulk.density[..., None] * weight, swept)
-    return Linearised(K, r.force_by_volume, _where_tissue(bulk, volume_rate))
+    pairs = [
+        (r.force_by_volume, volume_rate),
+        (r.weights * by_projection, excess[..., None] * swept),
+        (-r.weights * r.volume_by_x, by_mean),
+        (-r.weights * bulk.density[..., None] * weight, swept),
+    ]
+    columns, rows = (jnp.concatenate(side, axis=1) for side in zip(*pairs))
+    tangent = r.weights[..., None, None, None] * A
+    return Linearised(r.B, tangent, columns, rows, r.force_by_volume, _where_tissue(bulk, volume_rate))
 
 
 def _where_tissue(bulk: Bulk, rate: Array) -> Array:
@@ -305,11 +308,21 @@ def _point_derivatives(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Ar
 
 
 def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    r"""Strain energy per depth of each skin edge: X, x (n, 3, 3) [mm] -> (n,) [mN]; its thickness keeps the volume.
+    """Strain energy of each piece of skin: a section's edges X, x (n, 3, 3) [mm], a solid's faces (n, 6, 3) [mm] -> (n,) [mN].
 
-    A stiff film on soft tissue wrinkles when it is shortened by more than a small strain, and then bears no more than
-    the load at which it wrinkled (Allen 1969). Wrinkles are finer than the mesh, so this is the energy averaged over them:
-    the law's own where the edge is stretched; where it is shortened by :math:`\epsilon`, :math:`k \epsilon_w [\epsilon -
+    Its thickness keeps the volume. A stiff film on soft tissue wrinkles when it is shortened by more than a small strain,
+    and then bears no more than the load at which it wrinkled (Allen 1969). Wrinkles are finer than the mesh, so this is the
+    energy averaged over them.
+    """
+    density = _edge_energy if table.gradient.shape[-1] == 1 else _face_energy
+    extent, W = density(X, x, membrane, table)
+    return membrane.thickness * jnp.sum(table.weight * extent * W, axis=-1)
+
+
+def _edge_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
+    r"""Length over that of the reference edge [mm] and energy density [kPa]: X, x (n, 3, 3) [mm] -> (n, n_qp), (n, n_qp).
+
+    The law's own where the edge is stretched; where it is shortened by :math:`\epsilon`, :math:`k \epsilon_w [\epsilon -
     \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`, whose stress starts with the law's modulus k and ends at
     :math:`k \epsilon_w`. It is smooth, and its tangent never negative.
     """
@@ -318,11 +331,72 @@ def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Arr
     length = jnp.sqrt(X_s[..., 0] ** 2 + X_s[..., 1] ** 2)
     stretch = jnp.sqrt(x_s[..., 0] ** 2 + x_s[..., 1] ** 2) / length
     shear = (x_s[..., 2] - X_s[..., 2]) / length
-    shortening = jnp.maximum(1.0 - stretch, 0.0)
-    limit = membrane.wrinkling_strain
-    wrinkles = film_modulus(membrane.law) * limit * (shortening + limit * jnp.expm1(-shortening / limit))
-    W = membrane.law.energy(film(jnp.maximum(stretch, 1.0), shear)) + wrinkles
-    return membrane.thickness * jnp.sum(table.weight * length * W, axis=-1)
+    energy, _ = wrinkled(jnp.maximum(1.0 - stretch, 0.0), membrane.wrinkling_strain)
+    return length, membrane.law.energy(film(jnp.maximum(stretch, 1.0), shear)) + film_modulus(membrane.law) * energy
+
+
+def _face_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
+    r"""Area over that of the reference face [mm^2] and energy density [kPa]: X, x (n, 6, 3) [mm] -> (n, n_qp), (n, n_qp).
+
+    With :math:`e_1 \ge e_2` the logarithms of the principal stretches, a tension field (Pipkin 1986) that bears a little
+    compression:
+
+    .. math:: \Psi(a_1, a_2) + k \, [f(n) + f(p) + f'(n) f'(p) / 2], \qquad
+        f(p) = \epsilon_w [p - \epsilon_w (1 - e^{-p/\epsilon_w})]
+
+    :math:`a_1 = \max(e_1, 0)` and :math:`a_2 = \max(e_2, -a_1/2)` is what the law sees: a film pulled one way is slack when
+    it is narrower than it would be in simple tension. :math:`p = \max(-a_1/2 - e_2, 0)` is what it is shortened beyond that,
+    :math:`n = \max(-e_1, 0)` what it is shortened the other way too. At rest the second derivatives agree on all sides, those
+    of the first kind everywhere; the energy is convex in the principal stretches. Against being
+    shortened, one way or both, the film pushes with a Kirchhoff stress of :math:`k \epsilon_w` at most.
+    """
+    X_map, x_map = (jnp.einsum("eai,qab->eqib", y, table.gradient) for y in (X, x))
+    area, e = principal_strains(X_map, x_map)
+    pulled = jnp.maximum(e[0], 0.0)
+    across = jnp.maximum(e[1], -0.5 * pulled)
+    both = [wrinkled(jnp.maximum(d, 0.0), membrane.wrinkling_strain) for d in (-e[0], -0.5 * pulled - e[1])]
+    wrinkles = both[0][0] + both[1][0] + 0.5 * both[0][1] * both[1][1]
+    return area, membrane.law.energy(sheet(jnp.exp(pulled), jnp.exp(across))) + film_modulus(membrane.law) * wrinkles
+
+
+def wrinkled(shortening: Array, limit: Array) -> tuple[Array, Array]:
+    """Energy and pull of a wrinkling film over its modulus, 0 and the shortening at first: (...) [1] -> (...), (...) [1]."""
+    pull = -limit * jnp.expm1(-shortening / limit)
+    return limit * (shortening - pull), pull
+
+
+NEARLY_EQUAL = 1e-8  # difference of squared principal stretches, over their mean, below which they are not told apart
+
+
+def principal_strains(X_map: Array, x_map: Array) -> tuple[Array, tuple[Array, Array]]:
+    """Area over that of the reference face [mm^2], logarithms of the principal stretches, the larger first [1].
+
+    X_map, x_map (..., 3, 2) [mm]: derivatives of position by the face's local axes. A function of the two strains that is
+    symmetric has exact first derivatives; second ones to about 1e-8 where the stretches are equal, since their difference is
+    kept from 0 there.
+    """
+    (G11, G12, G22), (g11, g12, g22) = _metric(X_map), _metric(x_map)
+    area2, lean = G11 * G22 - G12**2, G12 / G11
+    # right Cauchy-Green tensor in axes that are orthonormal in the reference, the first along the first tangent
+    C11 = g11 / G11
+    C12 = (g12 - lean * g11) / jnp.sqrt(area2)
+    C22 = (g22 - 2.0 * lean * g12 + lean**2 * g11) * G11 / area2
+    mean = 0.5 * (C11 + C22)
+    radius = jnp.sqrt((0.5 * (C11 - C22)) ** 2 + C12**2 + (NEARLY_EQUAL * mean) ** 2)
+    larger = 0.5 * jnp.log(mean + radius)
+    both = 0.5 * jnp.log((g11 * g22 - g12**2) / area2)
+    return jnp.sqrt(area2), (larger, both - larger)
+
+
+def _metric(tangents: Array) -> tuple[Array, Array, Array]:
+    """Products of two tangents (..., 3, 2) [mm] with each other: 11, 12, 22 [mm^2]."""
+    a, b = tangents[..., 0], tangents[..., 1]
+    return jnp.sum(a * a, axis=-1), jnp.sum(a * b, axis=-1), jnp.sum(b * b, axis=-1)
+
+
+def sheet(one: Array, other: Array) -> Array:
+    """Deformation gradient (..., 3, 3) of an incompressible film stretched along two axes of its own (...) [1]."""
+    return jnp.stack([one, other, 1.0 / (one * other)], axis=-1)[..., None] * jnp.eye(3)
 
 
 def film(stretch: Array, shear: Array) -> Array:
@@ -347,8 +421,22 @@ def wrinkling_strain(E_film: float, E_below: float) -> float:
 
 
 def membrane_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    """Forces per depth of the skin on the nodes: X, x (n, 3, 3) [mm] -> (n, 3, 3) [mN/mm]."""
+    """Forces per depth of the skin on the nodes: X, x (n, 3 or 6, 3) [mm] -> the same shape [mN/mm]."""
     return jax.grad(lambda y: jnp.sum(membrane_energy(X, y, membrane, table)))(x)
+
+
+def pressure_force(x: Array, membrane: Membrane, table: Table) -> Array:
+    """Internal minus external forces of pressure on a solid's faces, outward: x (n, 6, 3) [mm] -> (n, 6, 3) [mN]; 0 on edges."""
+    if table.gradient.shape[-1] == 1:
+        return jnp.zeros_like(x)
+    one, other = jnp.moveaxis(jnp.einsum("eai,qab->eqib", x, table.gradient), -1, 0)
+    load = jnp.einsum("q,qa,eqi->eai", table.weight, table.value, jnp.cross(one, other))
+    return jnp.broadcast_to(membrane.pressure, x.shape[:1])[:, None, None] * load
+
+
+def facet_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
+    """Forces of skin and pressure on the nodes: X, x (n, a, 3) [mm] -> (n, a, 3) [mN/mm]."""
+    return membrane_force(X, x, membrane, table) + pressure_force(x, membrane, table)
 
 
 def tangent(force, x: Array) -> Array:

@@ -1,10 +1,11 @@
-"""Forward and inverse equilibrium of a body under gravity."""
+"""Forward and inverse equilibrium of a body under gravity, pressure and what moves its supports."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -15,10 +16,13 @@ from ..core.linear import Engine, LinearSolver
 from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body, Frame, VolumeRates
 from .space import Space
+from .supports import Supports
 
 SMALLEST_STEP = 0.25  # of a load; below that, going downhill is cheaper
-REUSE_BELOW = 0.05  # a step that brings the residual below this share earns its tangent another one
+REUSE_BELOW = 0.05  # a step that brings the residual so far down earns its tangent another one, under gravity alone
 LOOSEST, CLOSE = 1e-2, 1e-6  # how exactly a linear system is solved, relative to its right-hand side
+DRAG_STEP, NO_WAY = 1e-6, 1e-13  # of the body's extent: step of a difference, and what is rounding
+RIGID = 1e-6  # of the forces that move supports alone: what a body that follows as a whole is measured against
 START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
 
 
@@ -43,35 +47,43 @@ class Equilibrium:
         on: Engine | None = None,
     ) -> None:
         self.relative_tolerance, self.tell, self._on = relative_tolerance, tell, on
-        self._linear = {in_plane: LinearSolver(symmetric=True, on=on) for in_plane in (False, True)}
-        self._inverse = LinearSolver(symmetric=False, on=on)
+        self._linear: dict[tuple[bool, bool], LinearSolver] = {}  # by symmetry, and by what a section leaves out
+        self._forgotten = np.zeros(2, int)
 
     @property
     def factorizations(self) -> int:
         """Matrices factorised so far."""
-        return sum(s.n_factorizations for s in (*self._linear.values(), self._inverse))
+        return self._forgotten[0] + sum(s.n_factorizations for s in self._linear.values())
 
     @property
     def krylov_steps(self) -> int:
         """Solves with a factor so far."""
-        return sum(s.n_steps for s in (*self._linear.values(), self._inverse))
+        return self._forgotten[1] + sum(s.n_steps for s in self._linear.values())
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on besides its arguments: the factors, for ``restore``."""
-        solvers = self._linear.items()
-        return {f"{int(plane)}.{name}": array for plane, solver in solvers for name, array in solver.kept().items()}
+        return {
+            f"{int(is_symmetric)}.{int(in_plane)}.{name}": array
+            for (is_symmetric, in_plane), solver in self._linear.items()
+            for name, array in solver.kept().items()
+        }
 
     def restore(self, frame: Frame, kept: Mapping[str, np.ndarray]) -> None:
         """Go on, to the bit, where another solver on the same frame was."""
-        for in_plane, solver in self._linear.items():
-            prefix = f"{int(in_plane)}."
+        for key in product((False, True), repeat=2):
+            prefix = "{:d}.{:d}.".format(*key)
             part = {name.removeprefix(prefix): array for name, array in kept.items() if name.startswith(prefix)}
             if part:
-                _, pattern = frame.solved(in_plane)
-                solver.restore(pattern.matrix(pattern.zeros(), np.zeros(pattern.n_dofs)), part)
+                self._linear[key] = LinearSolver(symmetric=key[0], on=self._on)
+                self._linear[key].restore(frame.empty_matrix(key[1]), part)
 
     def loaded(
-        self, body: Body, X: np.ndarray, gravity: np.ndarray, start: np.ndarray | None = None
+        self,
+        body: Body,
+        X: np.ndarray,
+        gravity: np.ndarray,
+        start: np.ndarray | None = None,
+        held_at: np.ndarray | None = None,
     ) -> tuple[np.ndarray, NewtonReport]:
         """Find the loaded shape of a body whose unloaded shape is known.
 
@@ -86,7 +98,10 @@ class Equilibrium:
         start : (n_nodes, 3) array [mm], optional
             A nearby equilibrium; tried first, then the unloaded shape, then again letting its out-of-balance forces go
             little by little. Without it gravity is ramped up from the unloaded shape. Where Newton's method fails
-            even in small steps (a slender breast that buckles), potential energy is minimised from there.
+            even in small steps (a slender breast that buckles), potential energy is minimised from there, if no pressure acts.
+        held_at : (n_nodes, 3) array [mm], optional
+            Where nodes are held in the end (fixed ones, and sliding ones along their directions); they get there with the load.
+            Without it they stay where ``start`` (or X) has them.
 
         Returns
         -------
@@ -101,15 +116,17 @@ class Equilibrium:
         report = NewtonReport(tell=self.tell)
         at_rest = X if start is None else np.where(body.active_nodes[:, None], X, start)
         problem = _Problem(body, X, at_rest, gravity, gravity)
-        by_gravity = _Path(
-            problem.x, lambda x, load: self._newton(replace(problem, x=x, gravity=load * gravity), report)
+        problem = replace(problem, beside=np.hypot(problem.pressing, self._reaction(problem, held_at)))
+        by_load = _Path(
+            problem.x, lambda x, load: self._newton(self._carried(problem.under(load, x), load, held_at), report)
         )
-        paths = [("the unloaded shape", by_gravity, {"smallest": SMALLEST_STEP})]
+        is_gradual = held_at is not None or body.pressure is not None
+        paths = [("the unloaded shape", by_load, {"smallest": SMALLEST_STEP / 16 if is_gradual else SMALLEST_STEP})]
         if start is not None:
-            nearby = self._let_go(replace(problem, x=start), report)
+            nearby = self._let_go(self._carried(replace(problem, x=start), 1.0, held_at), report)
             paths = [
                 ("the nearby shape", nearby, {"smallest": 1.0}),
-                ("the unloaded shape", by_gravity, {"smallest": 1.0}),
+                ("the unloaded shape", by_load, {"smallest": 1.0}),
                 ("the nearby shape", nearby, {"first": 0.5, "smallest": SMALLEST_STEP}),
             ]
         for number, (name, path, steps) in enumerate(paths):
@@ -117,13 +134,37 @@ class Equilibrium:
                 report.history.append(f"from {name}")
             try:
                 return ramp(path.advance, path.reached, report, **steps), report
-            except ConvergenceError:
-                continue
+            except ConvergenceError as error:
+                if number == len(paths) - 1 and body.pressure is not None:
+                    raise ConvergenceError(str(error), report.history) from error
         report.history.append("downhill in potential energy from there")
         try:
-            return self._minimise(replace(problem, x=paths[-1][1].reached), report), report
+            last = self._carried(replace(problem, x=paths[-1][1].reached), 1.0, held_at)
+            return self._minimise(last, report), report
         except ConvergenceError as error:
             raise ConvergenceError(str(error), report.history + error.history) from error
+
+    def _carried(self, problem: _Problem, share: float, held_at: np.ndarray | None) -> _Problem:
+        """Put held nodes a share of their way on, and let the others follow to first order."""
+        if held_at is None:
+            return problem
+        way = problem.supports.held(problem.X + share * (held_at - problem.X) - problem.x)
+        if np.abs(way).max() <= NO_WAY * np.ptp(problem.X, axis=0).max():
+            return problem
+        J_bar = problem.body.dilation(problem.X, problem.x)
+        start = problem.unknowns(problem.x)
+        matrix, _ = problem.linearised(start, J_bar)
+        followed = self._solver(problem).solve(matrix, -problem.free_part(problem.drag(way)), CLOSE)
+        return replace(problem, x=problem.positions(start + followed) + way)
+
+    def _reaction(self, problem: _Problem, held_at: np.ndarray | None) -> float:
+        """Norm of the forces that hold a body whose held nodes have gone their way, to first order [mN]."""
+        if held_at is None:
+            return 0.0
+        way = problem.supports.held(held_at - problem.x)
+        followed = self._carried(problem, 1.0, held_at).x - problem.x
+        norms = [float(np.linalg.norm(problem.drag(moved))) for moved in (followed, way)]
+        return norms[0] + RIGID * norms[1]
 
     def _let_go(self, problem: _Problem, report: NewtonReport) -> _Path:
         """Way from a shape that is near: what is out of balance there is held, and let go little by little."""
@@ -156,11 +197,19 @@ class Equilibrium:
         report = NewtonReport(tell=self.tell)
 
         def advance(X: np.ndarray, factor: float) -> np.ndarray:
-            return self._newton(_Problem(body, x, X, factor * gravity, gravity, inverse=True), report)
+            problem = _Problem(body, x, X, gravity, gravity, inverse=True)
+            return self._newton(replace(problem, beside=problem.pressing).under(factor, X), report)
 
         X = ramp(advance, x, report, max_iterations=300)  # slender breasts hang far: many small steps
-        self._inverse.forget()
+        self._forget_unsymmetric()
         return X, report
+
+    def _forget_unsymmetric(self) -> None:
+        """Let the factors of the inverse problem go: they are large, and nothing else needs them."""
+        for key in [key for key in self._linear if not key[0]]:
+            solver = self._linear.pop(key)
+            self._forgotten += solver.n_factorizations, solver.n_steps
+            solver.forget()
 
     def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Newton on the unknown positions and volume ratios together, the ratios eliminated element by element.
@@ -168,7 +217,7 @@ class Equilibrium:
         Carrying the volume ratio along keeps the pressure of a trial shape small, so the iteration bears large steps
         however incompressible the tissue is.
         """
-        body, n = problem.body, problem.free.size
+        body, n = problem.body, problem.supports.n_unknowns
         shape = (body.frame.space.n_elements, body.frame.space.table.weight.size)
         scale = problem.weight / np.sqrt(body.frame.total(np.prod(shape)))
 
@@ -177,13 +226,13 @@ class Equilibrium:
             r = problem.free_part(body.residual(*shapes, problem.gravity, J_bar)) - problem.held
             return np.concatenate([r, scale * (body.dilation(*shapes) - J_bar).ravel()])
 
-        solver = self._inverse if problem.inverse else self._linear[problem.in_plane]
-        tolerance = self.relative_tolerance * problem.weight
+        solver, tolerance = self._solver(problem), self.relative_tolerance * problem.weight
+        below = REUSE_BELOW if problem.beside == 0.0 else 0.0
 
         def norm(r: np.ndarray) -> float:
             return body.frame.norm(r[:n], r[n:])
 
-        kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), tolerance, norm)
+        kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), below, tolerance, norm)
 
         def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
             (matrix, rates), forcing = kept.at(z, r)
@@ -193,9 +242,9 @@ class Equilibrium:
             dJ = np.einsum("eqm,em->eq", rates.volume_rate, moved.reshape(shape[0], -1)) + gap
             return np.concatenate([du, dJ.ravel()])
 
-        z = np.concatenate([problem.x.reshape(-1)[problem.free], problem.volume_ratios.ravel()])
+        z = np.concatenate([problem.unknowns(problem.x), problem.volume_ratios.ravel()])
         z = newton(residual, step, z, tolerance=tolerance, report=report, norm=norm)
-        if kept.value is not None and not problem.inverse and not solver.is_definite(kept.value[0]):
+        if kept.value is not None and problem.is_symmetric and not solver.is_definite(kept.value[0]):
             raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
         _check_elements(body, *problem.shapes(z[:n]))
         return problem.positions(z[:n])
@@ -213,11 +262,10 @@ class Equilibrium:
         def step(values: np.ndarray, r: np.ndarray, damping: float) -> np.ndarray:
             x = problem.positions(values)
             damping *= max(np.linalg.norm(problem.gravity), 1.0)  # pyright: ignore[reportAssignmentType]
-            J_bar = body.dilation(problem.X, x)
-            matrix, _ = body.linearised(problem.X, x, J_bar, in_plane=problem.in_plane, damping=damping)
+            matrix, _ = problem.linearised(values, body.dilation(problem.X, x), damping)
             return solver.solve(matrix, -r, CLOSE)
 
-        start = problem.x.reshape(-1)[problem.free]
+        start = problem.unknowns(problem.x)
         tolerance = self.relative_tolerance * problem.weight
         try:
             values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
@@ -225,6 +273,12 @@ class Equilibrium:
             solver.forget()
         _check_elements(body, *problem.shapes(values))
         return problem.positions(values)
+
+    def _solver(self, problem: _Problem) -> LinearSolver:
+        key = (problem.is_symmetric, problem.in_plane)
+        if key not in self._linear:
+            self._linear[key] = LinearSolver(symmetric=problem.is_symmetric, on=self._on)
+        return self._linear[key]
 
 
 def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
@@ -254,15 +308,19 @@ class _Kept:
     """A linearisation that is used again as long as it brings the residual down fast enough, and how exactly to solve with it."""
 
     def __init__(
-        self, linearise: Callable[[np.ndarray], Any], tolerance: float, norm: Callable[[np.ndarray], float]
+        self,
+        linearise: Callable[[np.ndarray], Any],
+        below: float,
+        tolerance: float,
+        norm: Callable[[np.ndarray], float],
     ) -> None:
-        self._linearise, self._tolerance, self._length = linearise, tolerance, norm
+        self._linearise, self._below, self._tolerance, self._length = linearise, below, tolerance, norm
         self.value, self._norm = None, np.inf
 
     def at(self, z: np.ndarray, r: np.ndarray) -> tuple[Any, float]:
         """The linearisation to use at z, where the residual is r, and the forcing term of Eisenstat & Walker (1996, choice 2)."""
         norm = self._length(r)
-        if self.value is None or not norm < REUSE_BELOW * self._norm:
+        if self.value is None or not norm < self._below * self._norm:
             self.value = None
             self.value = self._linearise(z)
         forcing = np.clip(0.9 * (norm / self._norm) ** 2, 0.1 * self._tolerance / norm, LOOSEST)
@@ -284,26 +342,40 @@ class _Problem:
     full: np.ndarray
     held: np.ndarray | float = 0.0  # force on the free degrees of freedom that still holds the body back
     inverse: bool = False
+    beside: float = 0.0  # norm of the loads beside gravity, in full [mN]
 
     @property
     def in_plane(self) -> bool:
         """Nothing pulls along a section's normal."""
         return isinstance(self.body.frame.space, Space) and bool(self.full[2] == 0.0)
 
-    @cached_property
-    def free(self) -> np.ndarray:
-        """Degrees of freedom solved for."""
-        return self.body.frame.solved(self.in_plane)[0]
+    @property
+    def supports(self) -> Supports:
+        """What is held, and what is solved for."""
+        return self.body.frame.supports(self.in_plane)
 
-    @cached_property
-    def _active(self) -> np.ndarray:
-        return np.repeat(self.body.active_nodes, 3)[self.free]
+    def under(self, share: float, x: np.ndarray) -> _Problem:
+        """The same under a share of the loads, from the shape x."""
+        return replace(self, body=self.body.under(share), x=x, gravity=share * self.full)
+
+    @property
+    def pressing(self) -> float:
+        """Norm of the forces of pressure [mN]."""
+        if self.body.pressure is None:
+            return 0.0
+        return float(np.linalg.norm(self.free_part(self.body.residual(self.X, self.X, np.zeros(3)))))
+
+    def drag(self, way: np.ndarray) -> np.ndarray:
+        """Change of the residual when nodes move a way (n_nodes, 3) [mm], to first order -> (n_nodes, 3) [mN]."""
+        step = DRAG_STEP * np.ptp(self.X, axis=0).max() / max(np.abs(way).max(), 1e-300)
+        there, back = (self.body.residual(self.X, self.x + s * way, self.gravity) for s in (step, -step))
+        return (there - back) / (2.0 * step)
 
     @cached_property
     def weight(self) -> float:
         """Norm of the nodal weights [mN/mm]: what the residual is measured against."""
         mass = self.body.lumped_mass(self.X)
-        return float(np.linalg.norm(mass) * max(np.linalg.norm(self.full), 1.0))
+        return float(np.hypot(np.linalg.norm(mass) * max(np.linalg.norm(self.full), 1.0), self.beside))
 
     @cached_property
     def volume_ratios(self) -> np.ndarray:
@@ -318,24 +390,36 @@ class _Problem:
         return self.free_part(self.body.residual(*self._ordered(self.x), self.gravity, self.volume_ratios))
 
     def positions(self, values: np.ndarray) -> np.ndarray:
-        """All positions (n_nodes, 3) from the free ones."""
-        out = self.x.copy()
-        out.reshape(-1)[self.free] = values
-        return out
+        """All positions (n_nodes, 3) from the unknowns."""
+        return self.supports.positions(values, self.x)
+
+    def unknowns(self, x: np.ndarray) -> np.ndarray:
+        """What is solved for, of positions x (n_nodes, 3)."""
+        return self.supports.unknowns(x)
 
     def shapes(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Unloaded and loaded positions from the free ones of the unknown shape."""
+        """Unloaded and loaded positions from the unknowns."""
         return self._ordered(self.positions(values))
 
     def _ordered(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return (unknown, self.X) if self.inverse else (self.X, unknown)
 
-    def linearised(self, values: np.ndarray, J_bar: np.ndarray) -> tuple[sp.bsr_array, VolumeRates]:
+    @property
+    def is_symmetric(self) -> bool:
+        """Whether the tangent is: forces have a potential, and it is the loaded shape that is looked for."""
+        return not self.inverse and self.body.pressure is None
+
+    def linearised(
+        self, values: np.ndarray, J_bar: np.ndarray, damping: float = 0.0
+    ) -> tuple[sp.bsr_array, VolumeRates]:
         """Derivatives by the unknown shape and the volume ratios."""
+        shapes, in_plane = self.shapes(values), self.in_plane
         if self.inverse:
-            return self.body.linearised_reference(*self.shapes(values), J_bar, self.gravity, in_plane=self.in_plane)
-        return self.body.linearised(*self.shapes(values), J_bar, in_plane=self.in_plane)
+            matrix, elements = self.body.linearised_reference(*shapes, J_bar, self.gravity, in_plane=in_plane)
+        else:
+            matrix, elements = self.body.linearised(*shapes, J_bar, in_plane=in_plane, damping=damping)
+        return self.supports.matrix(matrix), elements
 
     def free_part(self, forces: np.ndarray) -> np.ndarray:
-        """Forces (n_nodes, 3) on the free degrees of freedom, 0 where no tissue holds the node."""
-        return np.where(self._active, forces.reshape(-1)[self.free], 0.0)
+        """Forces (n_nodes, 3) on the unknowns, 0 where no tissue holds the node."""
+        return self.supports.unknowns(np.where(self.body.active_nodes[:, None], forces, 0.0))

@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..core.linear import LinearSolver
-from .body import Frame, measures
-from .elements import slopes
+from .body import PIECE, Frame
 from .pattern import Pattern
-from .space import Space
+from .space import Table
 
 ACCURACY = 1e-12  # of the linear solve, relative to the forces that tissue exerts
 
@@ -30,7 +29,6 @@ class Extension:
 
     def __init__(self, frame: Frame, X: np.ndarray) -> None:
         self._frame, self._X = frame, X
-        self._stiffness = _linear_stiffness(frame.space, X)
 
     def fill(self, x: np.ndarray, fraction: np.ndarray) -> np.ndarray:
         """Positions with the open nodes moved along: x (n_nodes, 3) [mm], fraction (n_elements,) -> (n_nodes, 3) [mm]."""
@@ -40,27 +38,29 @@ class Extension:
         held[self._frame.fixed_nodes] = True
         if held.all():
             return x
-        cells, stiffness = space.element_nodes[fraction == 0.0], self._stiffness[fraction == 0.0]
-        nodes = np.flatnonzero(~held)
+        cells, nodes = space.element_nodes[fraction == 0.0], np.flatnonzero(~held)
         pattern = Pattern([cells], nodes, space.n_nodes)
-        data = pattern.zeros()
-        pattern.add(data, 0, 0, stiffness)
-        u = x - self._X
+        data, force, u = pattern.zeros(), np.zeros_like(x), x - self._X
         u[nodes] = 0.0
-        force = np.zeros_like(u)
-        np.add.at(
-            force, cells, np.einsum("emn,en->em", stiffness, u[cells].reshape(len(cells), -1)).reshape(*cells.shape, 3)
-        )
+        for first in range(0, len(cells), PIECE):
+            part = cells[first : first + PIECE]
+            stiffness = _linear_stiffness(self._X[part], space.table)
+            pattern.add(data, 0, first, stiffness)
+            np.add.at(
+                force, part, np.einsum("emn,en->em", stiffness, u[part].reshape(len(part), -1)).reshape(*part.shape, 3)
+            )
         matrix = pattern.matrix(data, np.zeros(pattern.n_dofs))
         u[nodes] = LinearSolver(symmetric=True).solve(matrix, -force[nodes].ravel(), ACCURACY).reshape(-1, 3)
         return self._X + u
 
 
-def _linear_stiffness(space: Space, X: np.ndarray) -> np.ndarray:
-    """Element matrices of an elastic filling with both Lame constants 1 (n_elements, 21, 21)."""
-    grad = np.asarray(slopes(X[space.element_nodes], space.table))
-    grad = np.pad(grad, [(0, 0)] * 3 + [(0, 3 - grad.shape[-1])])  # nothing changes along a section's normal
-    weights = measures(space, X)
-    products = np.einsum("eq,eqaJ,eqbK->eaJbK", weights, grad, grad)
+def _linear_stiffness(X: np.ndarray, table: Table) -> np.ndarray:
+    """Matrices of an elastic filling with both Lame constants 1: X (n, a, 3) [mm] -> (n, 3a, 3a)."""
+    n_axes = table.gradient.shape[-1]
+    maps = np.einsum("eai,qab->eqib", X[..., :n_axes], table.gradient)
+    grad = np.einsum("qab,eqbJ->eqaJ", table.gradient, np.linalg.inv(maps))
+    grad = np.pad(grad, [(0, 0)] * 3 + [(0, 3 - n_axes)])  # nothing changes along a normal
+    weights = table.weight * np.abs(np.linalg.det(maps))
+    products = np.einsum("eq,eqaJ,eqbK->eaJbK", weights, grad, grad, optimize=True)
     laplacian = np.einsum("eaJbJ->eab", products)[:, :, None, :, None] * np.eye(3)[:, None, :]
     return (laplacian + products + products.transpose(0, 1, 4, 3, 2)).reshape(len(grad), grad.shape[2] * 3, -1)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import scipy.sparse as sp
 
-from ..core.native import add_blocks
+from ..core.native import add_blocks, add_contracted
 
 
 class Pattern:
@@ -48,6 +50,11 @@ class Pattern:
     def add(self, data: np.ndarray, kind: int, first: int, matrices: np.ndarray) -> None:
         """Add matrices (n, 3a, 3a) of the elements of a kind from number ``first`` on."""
         add_blocks(data, self._slots[kind][first : first + len(matrices)], np.ascontiguousarray(matrices))
+
+    def add_contracted(self, data: np.ndarray, kind: int, first: int, factors: Sequence[np.ndarray]) -> None:
+        """Add what element matrices are contracted from: slopes, tangents, columns and rows of ``core.scatter.contracted``."""
+        arrays = [np.ascontiguousarray(array) for array in factors]
+        add_contracted(data, self._slots[kind][first : first + len(arrays[0])], *arrays)
 
     def matrix(self, data: np.ndarray, diagonal: np.ndarray) -> sp.bsr_array:
         """Make a matrix of the blocks and a diagonal (n_dofs,) that is added."""

@@ -9,7 +9,7 @@ import numpy as np
 import skfem
 from skfem.quadrature import get_quadrature
 
-from ..geometry.tetrahedra import boundary
+from ..geometry.tetrahedra import boundary, neighbours
 
 
 @dataclass(frozen=True)
@@ -114,6 +114,26 @@ class Space:
         """Bubble node of each triangle (n_elements,)."""
         return self._dofs.interior_dofs[0]
 
+    @property
+    def n_axes(self) -> int:
+        """Axes that the elements lie in."""
+        return 2
+
+    @property
+    def shape_nodes(self) -> np.ndarray:
+        """Nodes at which each triangle is (n_elements, 6): all but the bubble; they are the first ``n_shape_nodes``."""
+        return self.element_nodes[:, :6]
+
+    @property
+    def n_shape_nodes(self) -> int:
+        """Number of nodes that are places."""
+        return int(self.bubbles[0])
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """Elements on both sides of each inner edge (2, n_edges)."""
+        return self.mesh.f2t[:, self.mesh.f2t[1] >= 0]
+
 
 @dataclass(frozen=True, eq=False)
 class SolidSpace:
@@ -160,8 +180,11 @@ class SolidSpace:
 
     @cached_property
     def facet_table(self) -> Table:
-        """Shape functions of a boundary face (corners, then the middles of the edges 01, 12, 02)."""
-        return tabulate(skfem.ElementTriP2(), *get_quadrature(skfem.MeshTri.elem, self.quadrature_order))
+        """Shape functions of a boundary face (corners, then the middles of the edges 01, 12, 02).
+
+        The rule is exact for pressure on a curved face; with less its forces would be those of no potential.
+        """
+        return tabulate(skfem.ElementTriP2(), *get_quadrature(skfem.MeshTri.elem, 4))
 
     @cached_property
     def boundary(self) -> np.ndarray:
@@ -171,3 +194,23 @@ class SolidSpace:
     def facet_nodes(self, facets: np.ndarray) -> np.ndarray:
         """Nodes of boundary faces by their numbers (n,) -> (n, 6)."""
         return self.boundary[facets]
+
+    @property
+    def n_axes(self) -> int:
+        """Axes that the elements lie in."""
+        return 3
+
+    @property
+    def shape_nodes(self) -> np.ndarray:
+        """Nodes at which each tetrahedron is (n_elements, 10): all of them."""
+        return self.element_nodes
+
+    @property
+    def n_shape_nodes(self) -> int:
+        """Number of nodes that are places."""
+        return self.n_nodes
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """Elements on both sides of each inner face (2, n_faces)."""
+        return neighbours(self.element_nodes)

@@ -1,27 +1,11 @@
-"""What the surgeon sees: outlines before and after, and the numbers that compare them."""
+"""Outlines of a section before and after, compared."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull
 
-
-@dataclass(frozen=True)
-class ShapeChange:
-    """A healed outline against the outline before surgery, in the same position."""
-
-    volume_change_percent: float
-    """Change of the area that skin and chest wall enclose [%]."""
-    nipple_displacement_mm: float
-    """Distance the nipple has moved, all three components [mm]."""
-    surface_retraction_max_mm: float
-    """Largest inward distance of the skin from the old outline [mm]."""
-    surface_retraction_rms_mm: float
-    """Root mean square distance of the skin from the old outline, in either direction, by length [mm]."""
-    concavity_depth_mm: float
-    """Increase of the deepest dent below the convex hull of the outline [mm]."""
+from .change import ShapeChange
 
 
 def compare(before: np.ndarray, after: np.ndarray, skin: np.ndarray, nipple: int) -> ShapeChange:

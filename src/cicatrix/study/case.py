@@ -7,13 +7,19 @@ by :mod:`cicatrix.study.sources`.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, model_validator
 
-from ..core.units import days_from_hours
-from ..healing.rates import CELL_UM, HOURS_PER_STEP, LAYER_UM, MOTILITY_SUBSTEPS, P_EDGE, P_LAYER
+from ..core.errors import InputError
+from ..core.units import days_from_hours, mm_from_um
+from ..geometry.hexgrid import Lattice
+from ..geometry.volume import AXES
+from ..healing.rates import CELL_UM, HOURS_PER_STEP, LAYER_UM, MOTILITY_SUBSTEPS, P_EDGE, P_LAYER, rules_at_pitch
+from ..healing.rules import AutomatonRules
 from .limits import (
     Ascending,
     Integer,
@@ -26,8 +32,10 @@ from .limits import (
     fault,
     limits,
 )
+from .sites import box_around, too_many
 
 Position = Literal["prone", "supine", "upright"]
+SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # what a mesh of three dimensions has by default
 REFERENCE_PITCH_UM = CELL_UM  # the pitch at which healing.hours_per_step is given
 
 
@@ -70,6 +78,7 @@ class Image(Table):
     weighting: Literal["t1", "t1-fatsat"] = "t1"
     position: Position = "prone"
     side: Literal["left", "right"] = "left"
+    axes: str | None = None  # where the file's x, y, z lead, such as "RIA", if it says so wrongly
     plane: Literal["axial", "sagittal"] = "axial"
     slice_mm: Number | None = None
     labels: Path | None = None
@@ -79,6 +88,9 @@ class Image(Table):
     def _one_origin(self) -> Image:
         if self.path is not None and self.phantom is not None:
             raise fault("phantom", "and path exclude each other: give one of the two")
+        if self.axes is not None and self.axes not in AXES:
+            words = "must be three letters of L or R, A or P, S or I, where x, y and z lead, and no mirror image"
+            raise fault("axes", f'{words}; got "{self.axes}"')
         if self.phantom is not None and self.labels is not None:
             raise fault("labels", "and phantom exclude each other: the phantom knows its own labels")
         if self.path is None and self.phantom is None and self.labels is None:
@@ -201,7 +213,7 @@ class Outcome(Table):
 
 
 class Mesh(Table):
-    """Target edge lengths of the mesh: far from the cavity and at it."""
+    """Target edge lengths of the mesh: far from the cavity and at it; in three dimensions 5 and 2 mm by default."""
 
     edge_mm: Positive = 3.0
     cavity_edge_mm: Positive = 1.0
@@ -230,7 +242,7 @@ class LumpectomyCase(Table):
     """The main job: from an image and a planned lumpectomy to the healed shape."""
 
     kind: Literal["lumpectomy"] = "lumpectomy"
-    dimension: Literal[2] = 2
+    dimension: Literal[2, 3] = 2
     image: Image
     tissue: Tissue = Tissue()
     resection: Resection = Resection()
@@ -245,6 +257,58 @@ class LumpectomyCase(Table):
     def seed(self) -> int:
         """Seed of the random numbers."""
         return self.run.seed
+
+    def rules(self) -> AutomatonRules:
+        """What a cell does in one step, at this pitch.
+
+        Raises
+        ------
+        InputError
+            If the rates make no rules at this pitch.
+        """
+        h = self.healing
+        return rules_at_pitch(
+            h.pitch_um,
+            p_edge=h.p_edge,
+            p_layer=h.p_layer,
+            layer_um=h.layer_um,
+            motility_substeps=h.motility_substeps,
+            redistribution=h.redistribution,
+            feedback=h.feedback if self.coupling.mode == "two-way" else 0.0,
+            min_free_neighbours=max(1, h.contact_inhibition),
+        )
+
+    @model_validator(mode="after")
+    def _sites_fit_into_memory(self) -> LumpectomyCase:
+        """Refuse at once what the lattice over the resection's ball, not yet deformed, would need."""
+        if self.dimension == 2:
+            return self
+        pitch_um, ball = self.healing.pitch_um, self.resection.radius_mm * np.array([[-1.0] * 3, [1.0] * 3])
+        try:
+            box = box_around(ball, self.rules(), pitch_um)
+            reason = too_many(Lattice.covering(box[0], box[1], mm_from_um(pitch_um)), pitch_um)
+        except InputError:
+            return self  # told when it is run, with the reason
+        if reason:
+            raise fault("healing.pitch_um", reason)
+        return self
+
+    @model_validator(mode="before")
+    @classmethod
+    def _edges_of_a_solid(cls, tables: Any) -> Any:
+        """Fill in what a mesh of three dimensions has by default."""
+        if isinstance(tables, Mapping) and tables.get("dimension") == 3:
+            given = tables.get("mesh", {})
+            if isinstance(given, Mapping):
+                return {**tables, "mesh": {**SOLID_EDGES_MM, **given}}
+        return tables
+
+    @model_validator(mode="after")
+    def _a_solid_has_no_plane(self) -> LumpectomyCase:
+        for key in ("plane", "slice_mm"):
+            if self.dimension == 3 and key in self.image.model_fields_set:
+                raise fault(f"image.{key}", "belongs to dimension = 2, where a section is cut; leave it out")
+        return self
 
     @model_validator(mode="after")
     def _cycle_holds_a_step(self) -> LumpectomyCase:

@@ -4,14 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.tetrahedra import boundary, with_middles
+from ..geometry.tetrahedra import EDGES, boundary, with_middles
 from ..materials.neo_hookean import NeoHookean, moduli_from_young
 from ..mechanics.body import Body, Frame
 from ..mechanics.space import SolidSpace
+from ..mechanics.supports import walls
 
 
 def solid_body(
-    points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, E: np.ndarray, nu: np.ndarray, density: np.ndarray
+    points: np.ndarray,
+    tetrahedra: np.ndarray,
+    is_fixed: np.ndarray,
+    E: np.ndarray,
+    nu: np.ndarray,
+    density: np.ndarray,
+    *,
+    is_sliding: np.ndarray | None = None,
+    is_pressurised: np.ndarray | None = None,
+    pressure: float = 0.0,
 ) -> Body:
     """Fill a mesh with neo-Hookean tissue.
 
@@ -25,21 +35,51 @@ def solid_body(
         Nodes that are held. An added middle is held where its edge lies on the surface and both ends are held.
     E, nu, density : (m,) arrays [kPa], [1], [kg/mm^3]
         Tissue of each tetrahedron.
+    is_sliding, is_pressurised : (n,) bool arrays, optional
+        Boundary faces slide along themselves, or bear the pressure, where they do so at all their corners.
+    pressure : float [kPa]
+        From outside, along the normal that a face has once it is deformed.
     """
     if tetrahedra.shape[1] == 4:
         points, tetrahedra = with_middles(points, tetrahedra)
         is_fixed = _with_fixed_middles(is_fixed, tetrahedra, len(points))
     space = SolidSpace(points, tetrahedra)
+    pressed = _faces(space, is_pressurised)
     shape = (space.n_elements, space.table.weight.size)
     mu, kappa = (np.broadcast_to(m[:, None], shape) for m in moduli_from_young(E, nu))
     return Body(
-        frame=Frame(space, np.zeros(0, int), np.flatnonzero(is_fixed)),
+        frame=Frame(space, pressed, np.flatnonzero(is_fixed), *walls(space, _faces(space, is_sliding))),
         law=NeoHookean(mu, kappa),
         density=np.broadcast_to(density[:, None], shape),
         fraction=np.ones(space.n_elements),
         skin=NeoHookean(1.0, 1.0),
-        skin_thickness=np.zeros(0),
+        skin_thickness=np.zeros(len(pressed)),
+        pressure=np.full(len(pressed), pressure) if pressure and len(pressed) else None,
     )
+
+
+def moved(body: Body, displacement: np.ndarray) -> np.ndarray:
+    """Where fixed nodes are held: displacement (n, 3) [mm] of the given nodes -> (n_nodes, 3) [mm].
+
+    Added middles of edges go half the way of both ends.
+    """
+    space = body.frame.space
+    held_at = space.positions.copy()
+    held_at[: len(displacement)] += displacement
+    one, other = np.array(EDGES).T
+    middles = space.element_nodes[:, 4:]
+    added = middles >= len(displacement)
+    corners = space.element_nodes[:, :4]
+    held_at[middles[added]] = 0.5 * (held_at[corners[:, one]] + held_at[corners[:, other]])[added]
+    return held_at
+
+
+def _faces(space: SolidSpace, is_there: np.ndarray | None) -> np.ndarray:
+    """Numbers of the boundary faces that are there at all their corners."""
+    if is_there is None:
+        return np.zeros(0, int)
+    corner = np.concatenate([is_there, np.zeros(space.n_nodes - len(is_there), bool)])
+    return np.flatnonzero(corner[space.boundary[:, :3]].all(axis=1))
 
 
 def _with_fixed_middles(is_fixed: np.ndarray, tetrahedra: np.ndarray, n_nodes: int) -> np.ndarray:

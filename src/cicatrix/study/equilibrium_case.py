@@ -10,9 +10,12 @@ from .limits import Number, Vector, limits
 
 
 class BodyTable(Table):
-    """A mesh of tetrahedra with its tissue.
+    """A mesh of tetrahedra with its tissue and its supports.
 
-    Cell data ``youngs_modulus_kPa``, ``poisson_ratio``, ``density_kg_m3``; point data ``fixed`` (0 or 1).
+    Cell data ``youngs_modulus_kPa``, ``poisson_ratio``, ``density_kg_m3``. Point data ``fixed`` (0 or 1), and where there is
+    need of them: ``prescribed_displacement`` (three components [mm], of fixed nodes), ``sliding`` (0 or 1: corners of
+    boundary faces that slide along themselves without friction), ``pressurised`` (0 or 1: corners of boundary faces that bear
+    ``loads.pressure_kPa``).
     """
 
     mesh: Path
@@ -23,6 +26,7 @@ class Loads(Table):
     """What pulls at the body."""
 
     gravity_m_s2: Vector = (0.0, -9.81, 0.0)
+    pressure_kPa: Number = 0.0  # from outside, along the normal that the faces have once they are deformed
 
 
 class Solver(Table):

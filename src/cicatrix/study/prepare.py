@@ -9,7 +9,8 @@ import numpy as np
 from ..coupling.cycle import HealingCycle
 from ..healing.automaton import Automaton
 from .case import LumpectomyCase
-from .lumpectomy import Anatomy, Plan, equilibrium_of, healing_cycle, imaged_in, plan
+from .lumpectomy import equilibrium_of, healing_cycle, imaged_in, plan
+from .plans import Anatomy, Plan
 
 
 def prepare(case: LumpectomyCase, anatomy: Anatomy) -> tuple[Plan, HealingCycle]:

@@ -12,10 +12,15 @@ from ..coupling.cycle import HealingCycle, TissueState
 from ..geometry.transfer import linear_fit
 from ..mechanics.body import Body
 from ..outcome import closure
-from ..outcome.shape import ShapeChange, compare
-from .lumpectomy import Plan
+from ..outcome.change import ShapeChange
+from .section_plan import SectionPlan
 
 UNITS = {"percent": "%", "mm": "mm"}
+# columns of a section's history and a solid's: what is open, its front, what is filled
+SIZES = {
+    2: ("open_area_mm2", "wound_perimeter_mm", "tissue_area_mm2"),
+    3: ("open_volume_mm3", "wound_area_mm2", "tissue_volume_mm3"),
+}
 
 
 class Number(NamedTuple):
@@ -30,13 +35,14 @@ def history_row(cycle: HealingCycle, state: TissueState) -> dict[str, float | in
     """One row of history.csv; in a section, energies are per mm of depth."""
     lattice, is_open = cycle.automaton.lattice, cycle.open_sites(state.healing)
     open0 = cycle.automaton.open0
+    open_size, front_size, tissue_size = SIZES[lattice.ndim]
     moved = np.linalg.norm(state.x - cycle.X, axis=1)[_vertices(cycle.intact)]
     return {
         "cycle": state.cycle,
         "time_days": cycle.days(state.cycle),
         "closed_fraction": 1.0 - np.count_nonzero(is_open) / np.count_nonzero(open0),
-        "open_area_mm2": closure.open_area(lattice, is_open),
-        "wound_perimeter_mm": closure.perimeter(lattice, is_open, state.healing.occupancy),
+        open_size: closure.open_size(lattice, is_open),
+        front_size: closure.front_size(lattice, is_open, state.healing.occupancy),
         "n_cells": state.healing.n_cells,
         "strain_energy_uJ": cycle.body(state).strain_energy(cycle.X, state.x),
         "wound_energy_mean_kPa": cycle.edge_energy(state),
@@ -46,12 +52,13 @@ def history_row(cycle: HealingCycle, state: TissueState) -> dict[str, float | in
         "wound_roundness": closure.roundness(lattice, is_open),
         "wound_drift_mm": float(np.linalg.norm(closure.centroid_shift(lattice, is_open, open0))),
         "clamped_cells": state.healing.n_clamped,
-        "tissue_area_mm2": float(np.sum(cycle.intact.volumes(cycle.X) * state.filled[:, None])),
+        tissue_size: float(np.sum(cycle.intact.volumes(cycle.X) * state.filled[:, None])),
     }
 
 
 def _vertices(body: Body) -> np.ndarray:
-    return np.unique(body.frame.space.element_nodes[:, :3])
+    space = body.frame.space
+    return np.unique(space.element_nodes[:, : space.n_axes + 1])
 
 
 def closure_numbers(cycle: HealingCycle, state: TissueState, rows: list[dict]) -> dict[str, Number]:
@@ -68,12 +75,6 @@ def closure_numbers(cycle: HealingCycle, state: TissueState, rows: list[dict]) -
         "wound_drift_mm": Number(half["wound_drift_mm"], "mm", "centroid of the open wound, at the same cycle"),
         "fresh_wound_energy_mean_kPa": Number(state.W_ref, "kPa", "mean over the fresh wound edge: W_ref"),
     }
-
-
-def shape_numbers(planned: Plan, before: np.ndarray, after: np.ndarray) -> ShapeChange:
-    """Compare loaded shapes (n_nodes, 3) [mm] of the body before surgery and at a visit, in one position."""
-    rows = planned.outline
-    return compare(before[rows], after[rows], planned.on_skin, planned.nipple)
 
 
 def outcome_numbers(changes: dict[tuple[str, str], ShapeChange], main: tuple[str, str]) -> dict[str, Number]:
@@ -104,7 +105,7 @@ def closing_sentence(cycle: HealingCycle, state: TissueState) -> str:
     return f"The wound is still open after {cycle.days(state.cycle):.0f} days, the last that the case allows."
 
 
-def edge_profile(planned: Plan, body: Body, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def edge_profile(planned: SectionPlan, body: Body, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Strain energy density of the tissue along the cavity's edge (G Fig. 2).
 
     X, x (n_nodes, 3) [mm] -> angle around the cavity's centre as imaged (n,) [degrees], ascending, and energy (n,)

@@ -1,0 +1,128 @@
+"""What is left to solve for when nodes are held at their places, or slide along walls."""
+
+from __future__ import annotations
+
+import numpy as np
+import scipy.sparse as sp
+import skfem
+
+from .space import SolidSpace, tabulate
+
+PARALLEL = 0.05  # share of a node's walls (mean of squared cosines) that a direction must have to be held
+CORNERS_AND_MIDDLES = np.array(
+    [[0.0, 1.0, 0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 1.0, 0.0, 0.5, 0.5]]
+)  # local coordinates of a face
+
+
+class Supports:
+    """Unknowns of a body: components of position along axes that are its own at nodes that slide.
+
+    Parameters
+    ----------
+    free : (n_free,) int array
+        Degrees of freedom (3 node + component) of nodes that are not fixed, ascending.
+    sliding_nodes : (m,) int array
+        Nodes held along a direction, and free across it; a node may be there several times.
+    normals : (m, 3) array [1]
+        The directions, of length 1.
+    n_dofs : int
+        Number of all degrees of freedom.
+    """
+
+    def __init__(self, free: np.ndarray, sliding_nodes: np.ndarray, normals: np.ndarray, n_dofs: int) -> None:
+        self._free = free
+        self._axes = _axes(free, sliding_nodes, normals, n_dofs) if sliding_nodes.size else None
+        self._places: sp.csr_array | None = None
+        self.n_unknowns = free.size if self._axes is None else self._axes.shape[1]
+
+    def unknowns(self, x: np.ndarray) -> np.ndarray:
+        """Unknowns of positions, or of forces: (n_nodes, 3) -> (n_unknowns,)."""
+        values = x.reshape(-1)[self._free]
+        return values if self._axes is None else self._axes.T @ values
+
+    def positions(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Positions with these unknowns (n_unknowns,), and what is held where x (n_nodes, 3) has it [mm]."""
+        out = x.copy()
+        if self._axes is None:
+            out.reshape(-1)[self._free] = values
+        else:
+            out.reshape(-1)[self._free] += self._axes @ (values - self.unknowns(x))
+        return out
+
+    def held(self, x: np.ndarray) -> np.ndarray:
+        """Part of vectors (n_nodes, 3) along what is held; 0 along what is free."""
+        return self.positions(np.zeros(self.n_unknowns), x)
+
+    def matrix(self, matrix: sp.bsr_array) -> sp.bsr_array:
+        """Turn a matrix on the free degrees of freedom (n_free, n_free) into one on the unknowns; its pattern stays the same."""
+        if self._axes is None:
+            return matrix
+        turned = self._turn(matrix.tocsr(), self._axes)
+        if self._places is None:  # SciPy leaves out what happens to be 0, and a factor's pattern must not change
+            ones = sp.bsr_array((np.ones_like(matrix.data), matrix.indices, matrix.indptr), shape=matrix.shape)
+            self._places = self._turn(ones.tocsr(), abs(self._axes))
+        data = np.zeros((self._places.nnz, 1, 1))
+        data[np.searchsorted(_keys(self._places), _keys(turned)), 0, 0] = turned.data
+        return sp.bsr_array((data, self._places.indices, self._places.indptr), shape=turned.shape)
+
+    @staticmethod
+    def _turn(matrix: sp.csr_array, axes: sp.csr_array) -> sp.csr_array:
+        turned = sp.csr_array(axes.T @ matrix @ axes)
+        turned.sort_indices()
+        return turned
+
+
+def _keys(matrix: sp.csr_array) -> np.ndarray:
+    """One ascending number for each entry (nnz,)."""
+    rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
+    return rows * matrix.shape[1] + matrix.indices
+
+
+def _axes(free: np.ndarray, nodes: np.ndarray, normals: np.ndarray, n_dofs: int) -> sp.csr_array:
+    """Orthonormal columns (n_free, n_unknowns): unit vectors, and at sliding nodes the axes that no normal has a part in."""
+    sliding, number = np.unique(nodes, return_inverse=True)
+    walls = np.zeros((len(sliding), 3, 3))
+    np.add.at(walls, number, normals[:, :, None] * normals[:, None, :])
+    shares, directions = np.linalg.eigh(walls)
+    node, axis = np.nonzero(shares < 1e-6)
+    rows = (3 * sliding[node, None] + np.arange(3)).ravel()
+    columns = np.repeat(3 * sliding[node] + axis, 3)
+    others = np.setdiff1d(free, (3 * sliding[:, None] + np.arange(3)).ravel())
+    values = np.concatenate([np.ones(others.size), directions[node, :, axis].ravel()])
+    places = np.concatenate([others, rows]), np.concatenate([others, columns])
+    axes = sp.csr_array(sp.coo_array((values, places), shape=(n_dofs, n_dofs)))
+    axes.eliminate_zeros()
+    axes = axes[free]
+    return sp.csr_array(axes[:, np.unique(axes.indices)])
+
+
+def walls(space: SolidSpace, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Directions that hold a body on walls without friction.
+
+    Along a smooth wall a node is held along the mean normal of its faces; where faces meet at more than about 26 degrees,
+    as two planes of symmetry do, along both.
+
+    Parameters
+    ----------
+    space : SolidSpace
+        The body where it touches the walls.
+    faces : (n,) int array
+        Numbers of the boundary faces on the walls.
+
+    Returns
+    -------
+    (m,) int array, (m, 3) array [1]
+        Nodes and directions, for :class:`.body.Frame`; a node at a crease is there twice or three times.
+    """
+    nodes = space.facet_nodes(faces)
+    slopes = tabulate(skfem.ElementTriP2(), CORNERS_AND_MIDDLES, np.ones(6)).gradient
+    tangents = np.einsum("fai,qab->fqib", space.positions[nodes], slopes)
+    normals = np.cross(tangents[..., 0], tangents[..., 1]).reshape(-1, 3)  # as long as twice the area
+    on_wall, number = np.unique(nodes.ravel(), return_inverse=True)
+    extent = np.linalg.norm(normals, axis=1)
+    spread = np.zeros((len(on_wall), 3, 3))
+    np.add.at(spread, number, normals[:, :, None] * normals[:, None, :] / extent[:, None, None])
+    spread /= np.bincount(number, weights=extent)[:, None, None]
+    shares, directions = np.linalg.eigh(spread)
+    node, axis = np.nonzero(shares > PARALLEL)
+    return on_wall[node], directions[node, :, axis]

@@ -1,0 +1,55 @@
+"""``cicatrix mesh``: what it writes is what cases of kind equilibrium read."""
+
+import numpy as np
+import pytest
+
+from cicatrix.cli.main import main
+from cicatrix.geometry.labels import Label
+from cicatrix.geometry.tetrahedra import volumes
+from cicatrix.geometry.volume import Volume
+from cicatrix.io.images import write_volume
+from cicatrix.io.meshes import read_body
+
+
+@pytest.fixture(scope="module")
+def labels(tmp_path_factory):
+    """Half a ball of 30 mm at the image's end: gland within 12 mm of its middle, fat around."""
+    across, depth = 2.0 * (np.arange(37) - 18), 2.0 * (np.arange(18) - 17.5)
+    z, y, x = np.meshgrid(across, depth, across, indexing="ij")
+    r = np.sqrt(x**2 + y**2 + z**2)
+    values = np.where(r < 12, Label.GLAND, np.where(r < 30, Label.FAT, Label.AIR)).astype(np.uint8)
+    path = tmp_path_factory.mktemp("labels") / "labels.nii.gz"
+    write_volume(path, Volume(values, (2.0, 2.0, 2.0), (across[0], depth[0], across[0])))
+    return path
+
+
+def test_a_label_map_becomes_a_body(labels, tmp_path, capsys):
+    out = tmp_path / "body.vtu"
+    assert main(["mesh", str(labels), "--out", str(out), "--edge-mm", "12"]) == 0
+    assert "tetrahedra" in capsys.readouterr().out
+    body = read_body(out, "mm")
+    volume = volumes(body.points, body.tetrahedra)
+    assert volume.sum() == pytest.approx(2 / 3 * np.pi * 30**3, rel=0.02)
+    np.testing.assert_allclose(body.points[body.is_fixed, 1], 0.0, atol=1e-6)  # the image's last face
+    np.testing.assert_allclose(body.nu, 0.495, atol=1e-6)
+    assert ((body.E >= 3.24 - 1e-6) & (body.E <= 3.25 + 1e-6)).all()  # gland and fat of the defaults
+    far = np.linalg.norm(body.points[body.tetrahedra].mean(axis=1), axis=1) > 18
+    np.testing.assert_allclose(body.E[far], 3.25, rtol=1e-6)
+    mass = 1e-9 * 2 / 3 * np.pi * (1040 * 12**3 + 930 * (30**3 - 12**3))
+    assert np.sum(volume * body.density) == pytest.approx(mass, rel=0.02)
+
+
+@pytest.mark.parametrize(("name", "words"), [("body.stl", "must end in .vtu"), ("there.vtu", "is there already")])
+def test_one_sentence(name, words, labels, tmp_path, capsys):
+    (tmp_path / "there.vtu").touch()
+    assert main(["mesh", str(labels), "--out", str(tmp_path / name)]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_a_body_that_nothing_holds(tmp_path, capsys):
+    values = np.zeros((24, 24, 24), np.uint8)
+    values[6:18, 6:18, 6:18] = Label.FAT
+    write_volume(tmp_path / "labels.nii.gz", Volume(values, (2.0, 2.0, 2.0), (0.0, 0.0, 0.0)))
+    assert main(["mesh", str(tmp_path / "labels.nii.gz"), "--out", str(tmp_path / "body.vtu")]) == 2
+    assert "nothing holds it" in capsys.readouterr().err
+    assert not (tmp_path / "body.vtu").exists()
