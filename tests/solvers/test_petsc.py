@@ -36,9 +36,9 @@ needs_petsc = pytest.mark.skipif(
 )
 
 
-def start(command):
-    """Run to the end, on more ranks than there are cores if need be."""
-    environment = {**os.environ, "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
+def start(command, **more):
+    """Run to the end, on more ranks than there are cores if need be; with more in the environment."""
+    environment = {**os.environ, **more, "OMPI_ALLOW_RUN_AS_ROOT": "1", "OMPI_ALLOW_RUN_AS_ROOT_CONFIRM": "1"}
     environment |= {"OMPI_MCA_rmaps_base_oversubscribe": "1", "OMPI_MCA_mpi_yield_when_idle": "1"}
     return subprocess.run(list(map(str, command)), env=environment, capture_output=True, text=True, timeout=600)
 
@@ -98,8 +98,8 @@ def test_downhill_on_two_ranks_with_elements_that_are_empty(tmp_path):
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * np.abs(expected - X).max())
 
 
-def write_cube(folder):
-    """A soft cube held at its bottom, and its case."""
+def write_cube(folder, **point_data):
+    """A soft cube held at its bottom, with point data (27, ...) if need be, and its case."""
     mesh = petsc_worker.skfem.MeshTet.init_tensor(*[np.linspace(0.0, 20.0, 3)] * 3)
     points, tetrahedra = mesh.p.T.copy(), oriented(mesh.p.T, mesh.t.T)
     same = np.ones(len(tetrahedra))
@@ -107,7 +107,7 @@ def write_cube(folder):
     meshio.Mesh(
         points,
         [("tetra", tetrahedra)],
-        point_data={"fixed": (points[:, 2] < 1e-9).astype(float)},
+        point_data={"fixed": (points[:, 2] < 1e-9).astype(float), **point_data},
         cell_data={name: [values] for name, values in cell_data.items()},
     ).write(folder / "body.vtu")
     (folder / "case.toml").write_text(CASE)
@@ -136,6 +136,39 @@ def test_a_run_on_ranks_is_the_run_of_one(n, linear, tmp_path):
         f"PETSc's {method} solved the linear systems on {max(n, 1)} rank"
         in (tmp_path / "many/manifest.json").read_text()
     )
+
+
+@needs_petsc
+def test_held_nodes_that_move_on_two_ranks(tmp_path):
+    """The bottom is held 2 mm aside; in one process the same by the environment's choice."""
+    case = write_cube(tmp_path)
+    is_held = meshio.read(tmp_path / "body.vtu").point_data["fixed"]
+    case = write_cube(tmp_path, prescribed_displacement=is_held[:, None] * (2.0, 0.0, 0.0))
+    cicatrix.simulate(load_case(case), tmp_path / "one")
+    expected = displacement(tmp_path / "one")
+    assert (expected[is_held == 1.0] == (2.0, 0.0, 0.0)).all()
+    command = [BIN / "cicatrix", "run", case, "--out"]
+    for done in (
+        start([MPIEXEC, "-n", 2, *command, tmp_path / "two"]),
+        start([*command, tmp_path / "petsc"], CICATRIX_LINEAR_SOLVER="petsc"),
+    ):
+        assert done.returncode == 0, done.stderr
+    for name in ("two", "petsc"):
+        np.testing.assert_allclose(displacement(tmp_path / name), expected, rtol=0, atol=1e-8 * np.abs(expected).max())
+
+
+@needs_petsc
+@pytest.mark.parametrize("what", ["sliding", "pressurised"])
+def test_what_ranks_cannot_share_is_told(what, tmp_path):
+    case = write_cube(tmp_path)
+    points = meshio.read(tmp_path / "body.vtu").points
+    is_top = (points[:, 2] > 19.9).astype(float)
+    write_cube(tmp_path, **{what: is_top})
+    command = [BIN / "cicatrix", "run", case, "--out", tmp_path / "run", "--set", "solver.linear=mumps"]
+    done = start([*command, "--set", "loads.pressure_kPa=0.1"] if what == "pressurised" else command)
+    assert done.returncode == 2
+    assert "sliding walls and pressure are for one process" in done.stderr
+    assert not (tmp_path / "run").exists()
 
 
 @needs_petsc
