@@ -122,6 +122,25 @@ def test_negative_curvature_makes_a_factor_give_way(library):
     assert solver.n_factorizations > 1
 
 
+def test_multigrid_solves_what_is_too_large_for_superlu(monkeypatch):
+    """A chain long enough that aggregation makes three levels; the same bits twice, whatever the global generator has done."""
+    monkeypatch.setenv("CICATRIX_LINEAR_SOLVER", "pyamg")
+    elements = np.arange(3000)[:, None] + np.arange(4)
+    A = np.random.default_rng(0).standard_normal((len(elements), 12, 12))
+    pattern = Pattern([elements], np.arange(3003), 3003)
+    data = pattern.zeros()
+    pattern.add(data, 0, 0, A @ A.transpose(0, 2, 1))
+    matrix = pattern.matrix(data, np.zeros(pattern.n_dofs))
+    rhs, found = right_side(matrix), []
+    for _ in range(2):
+        solver = LinearSolver(symmetric=True)
+        found.append(solver.solve(matrix, rhs, 1e-8))
+        assert isinstance(solver._factor, factors.Multigrid)
+        np.random.random()  # noqa: NPY002
+    assert (found[0] == found[1]).all()
+    assert np.linalg.norm(matrix @ found[0] - rhs) <= 2e-8 * np.linalg.norm(rhs)
+
+
 def test_conjugate_gradients_end_in_as_many_steps_as_there_are_eigenvalues():
     """Three distinct eigenvalues: three steps (theory)."""
     d = np.repeat([1.0, 3.0, 10.0], 20)

@@ -10,11 +10,19 @@ import skfem
 from cicatrix.geometry.tetrahedra import oriented, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.body import COMPILER, Body, Frame
-from cicatrix.mechanics.elements import Membrane, membrane_energy, membrane_force, tangent
+from cicatrix.mechanics.elements import (
+    Membrane,
+    membrane_energy,
+    membrane_force,
+    meshed_wrinkling_strain,
+    tangent,
+    wrinkling_strain,
+)
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.space import SolidSpace
 
 MU, THICKNESS, LIMIT = 5.0, 1.5, 0.08
+FILM_E, FAT_E = 56.0, 3.25  # kPa
 CORNERS = np.array([[0.0, 0.0, 0.0], [4.0, 1.0, 0.0], [1.0, 3.0, 0.0]])
 FLAT = np.vstack([CORNERS, 0.5 * (CORNERS[[0, 1, 0]] + CORNERS[[1, 2, 2]])])  # middles of 01, 12, 02
 AREA = 5.5  # mm^2, by hand: (4 * 3 - 1 * 1) / 2
@@ -271,3 +279,33 @@ def test_forward_of_inverse_is_where_it_began(coated):
     assert np.abs(X - x).max() > 0.3
     again, _ = solver.loaded(coated, X, gravity)
     np.testing.assert_allclose(again, x, rtol=0, atol=1e-7)
+
+
+@pytest.mark.parametrize(("share", "thickness", "is_stable"), [(1.0, 1.45, True), (8.0, 1.45, False), (8.0, 0.0, True)])
+def test_a_mesh_bears_the_push_that_is_left_to_its_skin(share, thickness, is_stable):
+    """Squeezed beyond the wrinkling strain, no wave of the mesh buckles; some do under eight times the push, not without skin."""
+    lines = np.linspace(0.0, 16.0, 5)
+    mesh = skfem.MeshTet.init_tensor(lines, lines, np.linspace(0.0, 12.0, 4))
+    space = SolidSpace(*with_middles(mesh.p.T, oriented(mesh.p.T, mesh.t.T)))
+    X = space.positions
+    on_top = np.flatnonzero((X[space.boundary, 2] == 12.0).all(axis=1))
+    held = np.flatnonzero((X[:, 2] == 0.0) | (np.abs(X[:, :2] - 8.0).max(axis=1) == 8.0))
+    shape = (space.n_elements, space.table.weight.size)
+    limit = share * meshed_wrinkling_strain(FILM_E, FAT_E, 1.45, 4.0)
+    body = Body(
+        Frame(space, on_top, held),
+        NeoHookean(*(np.full(shape, m) for m in moduli_from_young(FAT_E, 0.49))),
+        np.full(shape, 1e-6),
+        np.ones(space.n_elements),
+        NeoHookean(*moduli_from_young(FILM_E, 0.49)),
+        np.full(len(on_top), thickness),
+        limit,
+    )
+    x = X * (1.0 - 4.0 * limit, 1.0 - 4.0 * limit, (1.0 - 4.0 * limit) ** -2)
+    matrix, _ = body.linearised(X, x, body.dilation(X, x), in_plane=False)
+    least = np.linalg.eigvalsh(matrix.toarray())[0]
+    assert (least > 0) == is_stable
+
+
+def test_coarse_meshes_and_thin_films_keep_their_own_wrinkling_strain():
+    assert meshed_wrinkling_strain(FILM_E, FAT_E, 1.45, 1e3) == wrinkling_strain(FILM_E, FAT_E)

@@ -100,7 +100,7 @@ def systems():
     layout = Layout(ranks, np.random.default_rng(1).integers(0, ranks.size, N), positions)
     for method in METHODS:
         for name, matrix in matrices().items():
-            solver, whole = LinearSolver(name != "general", PetscEngine(layout, method)), blocks(matrix)
+            solver, whole = LinearSolver(name != "general", on=PetscEngine(layout, method)), blocks(matrix)
             if name == "not finite" and ranks.rank == ranks.size - 1:
                 whole.data[0, 0, 0] = np.nan  # only one rank knows
             try:
@@ -109,7 +109,7 @@ def systems():
                 out[f"{method} {name}"] = str(error)
                 continue
             out[f"{method} {name} is definite"] = name != "general" and solver.is_definite(whole)
-            other = LinearSolver(name != "general", PetscEngine(layout, method))
+            other = LinearSolver(name != "general", on=PetscEngine(layout, method))
             other.restore(whole, solver.kept())
             near = blocks(1.01 * matrix)
             again = [which.solve(near, rhs, 1e-12) for which in (solver, other)]

@@ -82,14 +82,15 @@ def test_downhill_finds_the_same_shape(block, loaded):
     assert block.potential(X, x, PRONE) < block.potential(X, X, PRONE)
 
 
-def test_both_linear_solvers_agree(block, loaded, monkeypatch):
-    monkeypatch.setenv("CICATRIX_LINEAR_SOLVER", "scipy")
+@pytest.mark.parametrize(("library", "method"), [("scipy", "SuperLU"), ("pyamg", "Multigrid")])
+def test_linear_solvers_agree(block, loaded, monkeypatch, library, method):
+    monkeypatch.setenv("CICATRIX_LINEAR_SOLVER", library)
     X = block.frame.space.positions
     solver = Equilibrium()
     x, _ = solver.loaded(block, X, PRONE)
-    assert type(solver._linear[True, True]._factor).__name__ == "SuperLU"
+    assert type(solver._linear[True, True]._factor).__name__ == method
     assert solver.factorizations > 0
-    np.testing.assert_allclose(x, loaded[0], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(x, loaded[0], rtol=0, atol=1e-8)  # as near as the residual's bound of 1e-8 brings both
 
 
 def test_weak_gravity_is_linear(block):

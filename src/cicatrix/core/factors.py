@@ -1,4 +1,4 @@
-"""Sparse direct factorisations behind one small protocol: MKL PARDISO where MKL is installed, SuperLU (SciPy) elsewhere.
+"""Sparse factorisations behind one small protocol: MKL PARDISO where MKL is installed; SuperLU (SciPy) and pyamg elsewhere.
 
 A factor here is a preconditioner: it may be single precision, and it may be that of another matrix that is near.
 """
@@ -18,6 +18,11 @@ from typing import Protocol
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
+
+try:
+    import pyamg
+except ImportError:
+    pyamg = None
 
 # the same bits in every run on one kind of machine: MKL may order its sums by threads and by where memory happens to lie, unless
 # told not to; COMPATIBLE would give them on every x86-64, at two to three times the time
@@ -44,6 +49,11 @@ class Factor(Protocol):
     @property
     def values(self) -> np.ndarray:
         """Numbers it was made of."""
+        ...
+
+    @property
+    def most_steps(self) -> int:
+        """Krylov steps after which it is no good."""
         ...
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
@@ -96,6 +106,8 @@ class Pardiso:
     FloatingPointError
         Where PARDISO finds the pattern singular.
     """
+
+    most_steps = 60
 
     def __init__(self, kind: Kind, matrix: sp.bsr_array) -> None:
         self.kind = kind
@@ -189,6 +201,7 @@ class SuperLU:
     """SciPy's SuperLU: slower, everywhere; it tells nothing of the signs of eigenvalues."""
 
     n_negative = None
+    most_steps = 60
 
     def __init__(self, kind: Kind, matrix: sp.bsr_array) -> None:
         self._pattern = (matrix.indices, matrix.indptr), matrix.shape
@@ -216,8 +229,53 @@ class SuperLU:
         return self._lu.solve(rhs)
 
 
+class Multigrid:
+    """Smoothed aggregation by pyamg, for definite matrices too large for SuperLU; no factor, and many more steps.
+
+    Near-null space: translations. It notices an indefinite matrix only by the negative curvature that the iteration meets.
+    """
+
+    n_negative = None
+    most_steps = 500
+
+    def __init__(self, matrix: sp.bsr_array) -> None:
+        self._pattern = (matrix.indices, matrix.indptr), matrix.shape
+        self.values = matrix.data
+
+    def factor(self, matrix: sp.bsr_array) -> Multigrid:
+        """Set the levels up; raises FloatingPointError where the matrix is not finite."""
+        if not np.isfinite(matrix.data).all():
+            raise FloatingPointError("the matrix holds numbers that are not finite")
+        return self.again(matrix.data)
+
+    def again(self, values: np.ndarray) -> Multigrid:
+        """The levels that were made of these numbers, to the bit."""
+        self.values = values
+        matrix = sp.bsr_matrix((values, *self._pattern[0]), shape=self._pattern[1])
+        translations = np.tile(np.eye(values.shape[1]), (matrix.shape[0] // values.shape[1], 1))
+        before = np.random.get_state()  # noqa: NPY002  pyamg starts its estimates of eigenvalues from there
+        np.random.seed(0)  # noqa: NPY002
+        try:
+            levels = pyamg.smoothed_aggregation_solver(matrix, B=translations, strength=("symmetric", {"theta": 0.08}))
+        finally:
+            np.random.set_state(before)  # noqa: NPY002
+        self._cycle = levels.aspreconditioner()
+        return self
+
+    def solve(self, rhs: np.ndarray) -> np.ndarray:
+        """(n,) -> (n,) float64."""
+        return np.asarray(self._cycle @ rhs)
+
+
+LARGEST_SUPERLU = 30_000  # unknowns of a definite matrix; beyond, its factor of a solid takes minutes and gigabytes
+
+
 def factorisation(kind: Kind, matrix: sp.bsr_array) -> Factorisation:
-    """Return the best one of this machine; CICATRIX_LINEAR_SOLVER = "scipy" asks for SuperLU."""
-    if MKL is not None and os.environ.get("CICATRIX_LINEAR_SOLVER") != "scipy":
+    """Return the best one of this machine; CICATRIX_LINEAR_SOLVER = "scipy" or "pyamg" asks for what works without MKL."""
+    asked = os.environ.get("CICATRIX_LINEAR_SOLVER")
+    if MKL is not None and asked not in ("scipy", "pyamg"):
         return Pardiso(kind, matrix)
+    is_large = matrix.shape[0] > LARGEST_SUPERLU and asked != "scipy"
+    if pyamg is not None and kind == Kind.DEFINITE and (is_large or asked == "pyamg"):
+        return Multigrid(matrix)
     return SuperLU(kind, matrix)

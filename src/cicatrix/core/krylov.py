@@ -98,14 +98,9 @@ class PetscEngine:
     library: Petsc = field(default_factory=petsc)
 
     @property
-    def most_steps(self) -> int:
-        """More are not worth waiting for."""
-        return 60 if self.method == "mumps" else 1000
-
-    @property
-    def stale_steps(self) -> int:
+    def stale(self) -> float:
         """Each matrix gets its own preconditioner: many solves with an old one mean many messages between ranks."""
-        return 0
+        return 0.0
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> PetscSystem:  # noqa: D102
         layout = self.layout or Layout(Ranks(), np.zeros(matrix.shape[0] // matrix.blocksize[0], int))
@@ -183,6 +178,11 @@ class PetscSystem:
             self._keep_rigid_motions(self._layout.positions)
         call("KSPSetOperators", self._ksp, self._matrix, self._matrix)
         call("KSPSetFromOptions", self._ksp)
+
+    @property
+    def most_steps(self) -> int:
+        """Krylov steps after which it is no good."""
+        return 1000 if self._is_multigrid else 60
 
     @property
     def _is_multigrid(self) -> bool:

@@ -13,8 +13,6 @@ from scipy.sparse.linalg import LinearOperator, gmres
 from .factors import Factor, Factorisation, Kind, factorisation
 from .krylov import PetscEngine
 
-MOST_STEPS = 60  # with a factor
-STALE_STEPS = 25  # a factor with which it took more is replaced before the next solve
 PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
 
 
@@ -22,13 +20,8 @@ class Engine(Protocol):
     """What factorises and iterates, on this process or on several ranks."""
 
     @property
-    def most_steps(self) -> int:
-        """Steps after which a solve is given up."""
-        ...
-
-    @property
-    def stale_steps(self) -> int:
-        """A factor with which a solve took more is replaced before the next one."""
+    def stale(self) -> float:
+        """Share of the most steps with a factor: one with which a solve took more is replaced before the next one."""
         ...
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:
@@ -47,9 +40,9 @@ class Engine(Protocol):
 
 
 class InProcess:
-    """PARDISO or SuperLU, and the Krylov methods below."""
+    """What this process has without PETSc (``factorisation``), and the Krylov methods below."""
 
-    most_steps, stale_steps = MOST_STEPS, STALE_STEPS
+    stale = 0.4
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
         if not np.isfinite(matrix.data).all():  # PARDISO looks at the numbers already
@@ -61,7 +54,7 @@ class InProcess:
     ) -> tuple[np.ndarray | None, int]:
         if kind == Kind.DEFINITE:
             return conjugate_gradients(matrix, rhs, factor.solve, tolerance, most_steps)
-        return _gmres(matrix, rhs, factor.solve, tolerance)
+        return _gmres(matrix, rhs, factor.solve, tolerance, most_steps)
 
     def release(self, methods: Sequence[Factorisation]) -> None:  # noqa: D102
         pass  # they do it when nobody knows them any more
@@ -84,12 +77,15 @@ class LinearSolver:
     ----------
     symmetric : bool
         Whether all matrices are.
+    definite : bool
+        Whether a symmetric matrix that is indefinite is refused: factorised as such a large one takes much memory, and where
+        Newton's method meets it, a smaller step is cheaper.
     on : Engine, optional
         What factorises and iterates; the best one of this process unless given.
     """
 
-    def __init__(self, symmetric: bool, on: Engine | None = None) -> None:
-        self._symmetric, self._engine = symmetric, on or engine()
+    def __init__(self, symmetric: bool, definite: bool = False, on: Engine | None = None) -> None:
+        self._symmetric, self._must_be_definite, self._engine = symmetric, definite, on or engine()
         self._methods: dict[Kind, Factorisation] = {}
         self._factor: Factor | None = None
         self._kind = Kind.DEFINITE if symmetric else Kind.GENERAL
@@ -102,7 +98,7 @@ class LinearSolver:
         Raises
         ------
         FloatingPointError
-            Where the matrix is singular or not finite.
+            Where the matrix is singular or not finite, or not definite where it must be.
         """
         if not self._is_stale:
             x = self._iterate(matrix, rhs, tolerance)
@@ -110,7 +106,8 @@ class LinearSolver:
                 return x
         self.factor(matrix)
         x = self._iterate(matrix, rhs, tolerance)
-        if x is None and self._kind == Kind.DEFINITE:  # single precision lets a matrix pass that is hardly definite
+        if x is None and self._kind == Kind.DEFINITE and not self._must_be_definite:
+            # single precision lets a matrix pass that is hardly definite
             self._factorise(Kind.SYMMETRIC, matrix)
             x = self._iterate(matrix, rhs, tolerance)
         if x is None:
@@ -124,6 +121,8 @@ class LinearSolver:
         try:
             self._factorise(Kind.DEFINITE, matrix)
         except FloatingPointError:
+            if self._must_be_definite:
+                raise
             self._factorise(Kind.SYMMETRIC, matrix)
         return None
 
@@ -154,10 +153,10 @@ class LinearSolver:
 
     def _iterate(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float) -> np.ndarray | None:
         """Solve with the factor that is there; None where it does not serve."""
-        most = self._engine.most_steps
+        most = self._factor.most_steps
         x, steps = self._engine.iterate(self._factor, self._kind, matrix, rhs, tolerance, most)
         self.n_steps += steps
-        self._is_stale = steps > self._engine.stale_steps
+        self._is_stale = steps > self._engine.stale * most
         return x
 
     def is_definite(self, matrix: sp.bsr_array) -> bool:
@@ -200,13 +199,15 @@ def conjugate_gradients(
     return None, most_steps
 
 
-def _gmres(matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float) -> tuple[np.ndarray | None, int]:
+def _gmres(
+    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int
+) -> tuple[np.ndarray | None, int]:
     """SciPy's generalised minimal residuals; the solution, or None where it is not reached, and the steps taken."""
     steps = []
     operator = LinearOperator(matrix.shape, matvec=precondition, dtype=float)  # pyright: ignore[reportCallIssue]
     x, left = gmres(
         *(matrix, rhs),
-        **{"rtol": tolerance, "M": operator, "restart": MOST_STEPS // 3, "maxiter": 3},
+        **{"rtol": tolerance, "M": operator, "restart": most_steps // 3, "maxiter": 3},
         callback=steps.append,
         callback_type="pr_norm",
     )

@@ -420,6 +420,18 @@ def wrinkling_strain(E_film: float, E_below: float) -> float:
     return 0.25 * (3.0 * E_below / E_film) ** (2.0 / 3.0)
 
 
+def meshed_wrinkling_strain(E_film: float, E_below: float, thickness: float, wave_mm: float) -> float:
+    r"""Wrinkling strain that a mesh of a solid bears: the film's own, or less where the mesh is finer than its wrinkles [1].
+
+    A film without bending stiffness that pushes with N on soft tissue of shear modulus mu buckles in all waves shorter than
+    :math:`\pi N/\mu`, since the half-space below resists a wave number k with :math:`2 \mu k < N k^2`. A solid's mesh would
+    show such waves down to ``wave_mm``, the length of its shortest edge on the skin, instead of averaging them; so the push
+    :math:`N = k_f \epsilon_w t`, :math:`k_f = 4 \mu_f`, is kept at half of what the mesh bears.
+    """
+    bearable = E_below * wave_mm / (2.0 * np.pi * 4.0 * E_film * thickness)
+    return min(wrinkling_strain(E_film, E_below), bearable)
+
+
 def membrane_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
     """Forces per depth of the skin on the nodes: X, x (n, 3 or 6, 3) [mm] -> the same shape [mN/mm]."""
     return jax.grad(lambda y: jnp.sum(membrane_energy(X, y, membrane, table)))(x)

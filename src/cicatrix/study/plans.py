@@ -14,7 +14,7 @@ from ..geometry.labels import TISSUES, Label
 from ..geometry.volume import Volume
 from ..materials.neo_hookean import NeoHookean, moduli_from_young
 from ..mechanics.body import Body, Frame
-from ..mechanics.elements import wrinkling_strain
+from ..mechanics.elements import meshed_wrinkling_strain, wrinkling_strain
 from ..mechanics.space import SolidSpace, Space
 from ..outcome.change import ShapeChange
 from .case import LumpectomyCase
@@ -152,8 +152,18 @@ def intact_body(case: LumpectomyCase, frame: Frame, tissue: Tissue) -> Body:
         fraction=np.ones(frame.space.n_elements),
         skin=NeoHookean(*moduli_from_young(skin.E_kPa, skin.nu)),
         skin_thickness=np.full(len(frame.skin_facets), skin.thickness_mm),
-        wrinkling_strain=wrinkling_strain(skin.E_kPa, case.tissue.fat.E_kPa),
+        wrinkling_strain=_wrinkling_strain(case, frame),
     )
+
+
+def _wrinkling_strain(case: LumpectomyCase, frame: Frame) -> float:
+    """Of skin on fat, as far as the mesh bears it [1]."""
+    skin, below = case.tissue.skin, case.tissue.fat.E_kPa
+    if isinstance(frame.space, Space):
+        return wrinkling_strain(skin.E_kPa, below)
+    corners = frame.space.positions[frame.skin_nodes[:, :3]]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    return meshed_wrinkling_strain(skin.E_kPa, below, skin.thickness_mm, float(edges.min(initial=np.inf)))
 
 
 def quadrature_points(space: Space | SolidSpace) -> np.ndarray:
