@@ -2,16 +2,67 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, gmres
 
 from .factors import Factor, Factorisation, Kind, factorisation
+from .krylov import PetscEngine
 
-STALE = 0.4  # of the most steps with a factor: one with which it took more is replaced before the next solve
 PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
+
+
+class Engine(Protocol):
+    """What factorises and iterates, on this process or on several ranks."""
+
+    @property
+    def stale(self) -> float:
+        """Share of the most steps with a factor: one with which a solve took more is replaced before the next one."""
+        ...
+
+    def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:
+        """Prepare to factorise matrices of this pattern."""
+        ...
+
+    def iterate(
+        self, factor: Any, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+    ) -> tuple[np.ndarray | None, int]:
+        """Solve with a factor: the solution, or None where it is not reached, and the steps taken."""
+        ...
+
+    def release(self, methods: Sequence[Any]) -> None:
+        """Let go what these hold beyond Python's own memory."""
+        ...
+
+
+class InProcess:
+    """What this process has without PETSc (``factorisation``), and the Krylov methods below."""
+
+    stale = 0.4
+
+    def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
+        if not np.isfinite(matrix.data).all():  # PARDISO looks at the numbers already
+            raise FloatingPointError("the matrix holds numbers that are not finite")
+        return factorisation(kind, matrix)
+
+    def iterate(  # noqa: D102
+        self, factor: Factor, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+    ) -> tuple[np.ndarray | None, int]:
+        if kind == Kind.DEFINITE:
+            return conjugate_gradients(matrix, rhs, factor.solve, tolerance, most_steps)
+        return _gmres(matrix, rhs, factor.solve, tolerance, most_steps)
+
+    def release(self, methods: Sequence[Factorisation]) -> None:  # noqa: D102
+        pass  # they do it when nobody knows them any more
+
+
+def engine() -> Engine:
+    """Return the one of this process; CICATRIX_LINEAR_SOLVER = "petsc" asks for MUMPS through PETSc."""
+    return PetscEngine() if os.environ.get("CICATRIX_LINEAR_SOLVER") == "petsc" else InProcess()
 
 
 class LinearSolver:
@@ -29,10 +80,12 @@ class LinearSolver:
     definite : bool
         Whether a symmetric matrix that is indefinite is refused: factorised as such a large one takes much memory, and where
         Newton's method meets it, a smaller step is cheaper.
+    on : Engine, optional
+        What factorises and iterates; the best one of this process unless given.
     """
 
-    def __init__(self, symmetric: bool, definite: bool = False) -> None:
-        self._symmetric, self._must_be_definite = symmetric, definite
+    def __init__(self, symmetric: bool, definite: bool = False, on: Engine | None = None) -> None:
+        self._symmetric, self._must_be_definite, self._engine = symmetric, definite, on or engine()
         self._methods: dict[Kind, Factorisation] = {}
         self._factor: Factor | None = None
         self._kind = Kind.DEFINITE if symmetric else Kind.GENERAL
@@ -75,13 +128,16 @@ class LinearSolver:
 
     def _factorise(self, kind: Kind, matrix: sp.bsr_array) -> None:
         self._is_stale = True
-        if not np.isfinite(matrix.data).all():
-            raise FloatingPointError("the matrix holds numbers that are not finite")
         if kind not in self._methods:
-            self._methods[kind] = factorisation(kind, matrix)
+            self._methods[kind] = self._engine.factorisation(kind, matrix)
         self.n_factorizations += 1
         self._factor, self._kind = self._methods[kind].factor(matrix), kind
         self._is_stale = False
+
+    def forget(self) -> None:
+        """Let the factor's memory go."""
+        self._engine.release(list(self._methods.values()))
+        self._methods, self._factor, self._is_stale = {}, None, True
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on, for ``restore``; empty before the first."""
@@ -92,15 +148,15 @@ class LinearSolver:
     def restore(self, matrix: sp.bsr_array, kept: Mapping[str, np.ndarray]) -> None:
         """Go on, to the bit, where another solver was; ``matrix`` is any of the pattern."""
         self._kind, self._is_stale = Kind(int(kept["kind"])), bool(kept["is_stale"])
-        self._methods[self._kind] = factorisation(self._kind, matrix)
+        self._methods[self._kind] = self._engine.factorisation(self._kind, matrix)
         self._factor = self._methods[self._kind].again(kept["values"])
 
     def _iterate(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float) -> np.ndarray | None:
         """Solve with the factor that is there; None where it does not serve."""
-        iterate = conjugate_gradients if self._kind == Kind.DEFINITE else _gmres
-        x, steps = iterate(matrix, rhs, self._factor.solve, tolerance, self._factor.most_steps)
+        most = self._factor.most_steps
+        x, steps = self._engine.iterate(self._factor, self._kind, matrix, rhs, tolerance, most)
         self.n_steps += steps
-        self._is_stale = steps > STALE * self._factor.most_steps
+        self._is_stale = steps > self._engine.stale * most
         return x
 
     def is_definite(self, matrix: sp.bsr_array) -> bool:
@@ -111,7 +167,7 @@ class LinearSolver:
         if self._kind != Kind.DEFINITE:
             return not self._factor.n_negative
         rhs = np.random.Generator(np.random.Philox(0)).standard_normal(matrix.shape[0])
-        x, steps = conjugate_gradients(matrix, rhs, self._factor.solve, 1e-6, PROBE_STEPS)
+        x, steps = self._engine.iterate(self._factor, self._kind, matrix, rhs, 1e-6, PROBE_STEPS)
         return x is not None or steps == PROBE_STEPS
 
 

@@ -38,8 +38,20 @@ Residual = Callable[[np.ndarray], np.ndarray]
 Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
+def euclidean(r: np.ndarray) -> float:
+    """Norm of a vector that is whole."""
+    return float(np.linalg.norm(r))
+
+
 def newton(
-    residual: Residual, step: Step, x: np.ndarray, *, tolerance: float, report: NewtonReport, max_iterations: int = 30
+    residual: Residual,
+    step: Step,
+    x: np.ndarray,
+    *,
+    tolerance: float,
+    report: NewtonReport,
+    max_iterations: int = 30,
+    norm: Callable[[np.ndarray], float] = euclidean,
 ) -> np.ndarray:
     """Solve residual(x) = 0.
 
@@ -50,7 +62,9 @@ def newton(
     step : callable
         (x, r) -> Newton increment (n,), solving K(x) dx = -r.
     tolerance : float
-        Absolute bound on the Euclidean norm of r.
+        Absolute bound on the norm of r.
+    norm : callable
+        r (n,) -> its Euclidean norm; where ranks have parts of r, that of all parts.
 
     Raises
     ------
@@ -58,7 +72,7 @@ def newton(
         With the residual norms, when the iterations run out or the line search finds no descent.
     """
     r = residual(x)
-    norms = [float(np.linalg.norm(r))]
+    norms = [norm(r)]
     while not norms[-1] <= tolerance:
         if len(norms) > max_iterations or not norms[-1] <= 1e3 * max(norms[0], tolerance):
             raise _failure(norms, "no convergence")
@@ -68,15 +82,15 @@ def newton(
             dx = step(x, r)
         except FloatingPointError as error:
             raise _failure(norms, f"singular tangent ({error})") from error
-        x, r = _line_search(residual, x, r, dx, norms)
-        norms.append(float(np.linalg.norm(r)))
+        x, r, length = _line_search(residual, x, dx, norms, norm)
+        norms.append(length)
         report.count(norms[-1])
     return x
 
 
 def _line_search(
-    residual: Residual, x: np.ndarray, r: np.ndarray, dx: np.ndarray, norms: list[float]
-) -> tuple[np.ndarray, np.ndarray]:
+    residual: Residual, x: np.ndarray, dx: np.ndarray, norms: list[float], norm: Callable[[np.ndarray], float]
+) -> tuple[np.ndarray, np.ndarray, float]:
     """Halve the step until the residual is finite and comes down; in the first steps it may grow, but not without limit.
 
     Far from the answer a full Newton step often raises the residual of nearly incompressible tissue (volume first,
@@ -86,8 +100,9 @@ def _line_search(
     for halvings in range(8):
         trial = x + 0.5**halvings * dx
         r_trial = residual(trial)
-        if np.linalg.norm(r_trial) <= limit:  # false for NaN
-            return trial, r_trial
+        length = norm(r_trial)
+        if length <= limit:  # false for NaN
+            return trial, r_trial, length
     raise _failure(norms, "the line search found no descent")
 
 

@@ -5,6 +5,7 @@ mpi4py is loaded only in a process that ``mpiexec`` or ``srun`` started; everywh
 
 from __future__ import annotations
 
+import ctypes
 import os
 import signal
 import sys
@@ -15,11 +16,14 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any, TypeVar
 
-from .errors import InputError, InvariantError
+import numpy as np
+
+from .errors import ConvergenceError, InputError, InvariantError
 
 T = TypeVar("T")
 
-SIZES = ("OMPI_COMM_WORLD_SIZE", "PMI_SIZE")  # what Open MPI, and MPICH and its kin, tell the processes they start
+OPEN_MPI = "OMPI_COMM_WORLD_SIZE"
+SIZES = (OPEN_MPI, "PMI_SIZE")  # what Open MPI, and MPICH and its kin, tell the processes they start
 PMIX = "PMIX_RANK"  # and what other starters do, without the number
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", PMIX)
 FAILED = 3
@@ -44,13 +48,21 @@ class Ranks:
         """Return the first rank's value."""
         return value
 
+    def sum(self, mine: np.ndarray) -> np.ndarray:
+        """Sum arrays of one shape over the ranks: the same bits on all of them."""
+        return mine
+
     def agree(self, job: Callable[[], T]) -> T:
         """Do a job; where it failed on one rank it fails on all, with the first one's error."""
         return job()
 
     @contextmanager
     def all_or_none(self) -> Iterator[None]:
-        """Between steps that all do alike: an error that the others cannot know ends the whole run."""
+        """Between steps that all do alike: an error that the others cannot know ends the whole run.
+
+        What follows from numbers that all have (ConvergenceError, InvariantError) all raise, and so they do KeyboardInterrupt
+        where they are ``uninterrupted``.
+        """
         yield
 
     @contextmanager
@@ -77,6 +89,13 @@ class MpiRanks(Ranks):
     def share(self, value: T) -> T:  # noqa: D102
         return self._comm.bcast(value)
 
+    def sum(self, mine: np.ndarray) -> np.ndarray:  # noqa: D102
+        mine = np.ascontiguousarray(mine, float)
+        out = np.empty_like(mine)
+        self._comm.Reduce(mine, out)
+        self._comm.Bcast(out)  # not Allreduce, which may round differently on each
+        return out
+
     def agree(self, job: Callable[[], T]) -> T:  # noqa: D102
         done: Any = None
         fault = None
@@ -93,7 +112,7 @@ class MpiRanks(Ranks):
     def all_or_none(self) -> Iterator[None]:  # noqa: D102
         try:
             yield
-        except InvariantError:  # all ranks see it alike
+        except (InvariantError, ConvergenceError, KeyboardInterrupt):  # on all ranks alike
             raise
         except BaseException:
             traceback.print_exc()
@@ -137,6 +156,8 @@ def world() -> Ranks:
     if max(sizes, default=1) == 1 and (sizes or PMIX not in os.environ):
         return Ranks()
     started = f"mpiexec started {max(sizes)} ranks" if sizes else "mpiexec started this process"
+    if OPEN_MPI in os.environ:
+        _prefer_open_mpi()
     try:
         from mpi4py import MPI
     except (ImportError, RuntimeError) as error:
@@ -147,3 +168,13 @@ def world() -> Ranks:
             f"{started}, but mpi4py finds {comm.Get_size()}: mpiexec and mpi4py must belong to the same MPI library"
         )
     return MpiRanks(comm) if comm.Get_size() > 1 else Ranks()
+
+
+def _prefer_open_mpi() -> None:
+    """Let mpi4py load the library of the mpiexec that started this process, where another one is installed, too."""
+    name = "libmpi.so.40"  # of Open MPI 4 and 5
+    try:
+        ctypes.CDLL(name)
+    except OSError:
+        return
+    os.environ.setdefault("MPI4PY_LIBMPI", name)

@@ -1,15 +1,24 @@
-"""Mechanics alone: the shape of a body under its loads, or the shape it has without."""
+"""Mechanics alone: the shape of a body under its loads, or the shape it has without; by one process or by several ranks.
+
+The first rank has the run's folder; the others solve with it, each with elements of its own.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
 from ..core.errors import InputError
+from ..core.krylov import PetscEngine
 from ..core.newton import NewtonReport
+from ..core.petsc import petsc
+from ..core.ranks import Ranks, world
 from ..core.units import acceleration_mm_s2, ml_from_mm3
 from ..mechanics.body import Body
+from ..mechanics.division import layout_of, shared
 from ..mechanics.equilibrium import Equilibrium
 from ..study.equilibrium import moved, solid_body
 from ..study.equilibrium_case import EquilibriumCase
@@ -28,54 +37,23 @@ class EquilibriumRun:
     case: EquilibriumCase
     folder: RunFolder
     progress: Progress
+    ranks: Ranks = field(default_factory=world)
 
     def go(self) -> str:
         """Find the shape; returns the sentence that ends the run."""
         with self.progress.stage("mesh"):
-            given = read_body(self.case.body.mesh, self.case.body.mesh_unit)
-            body = self._body(given)
+            given, body = _given(self.case, self.ranks)
         with self.progress.stage("solve"):
             found, report, solver = self._solve(given, body)
+            for line in [*_how(self.case, self.ranks), *report.history]:
+                self.folder.note(line)
         with self.progress.stage("outcome"):
             self._tell(given, body, found, report, solver)
         sought = "unloaded" if self.case.solver.inverse else "loaded"
         return f"The {sought} shape was found in {report.iterations} Newton iterations."
 
-    def _body(self, given: MeshedBody) -> Body:
-        pressure = self.case.loads.pressure_kPa
-        body = solid_body(
-            given.points,
-            given.tetrahedra,
-            given.is_fixed,
-            given.E,
-            given.nu,
-            given.density,
-            is_sliding=given.is_sliding,
-            is_pressurised=given.is_pressurised,
-            pressure=pressure,
-        )
-        name = self.case.body.mesh.name
-        if pressure and body.pressure is None:
-            raise InputError(
-                f"{name}: loads.pressure_kPa = {pressure:g} acts on no face: mark the corners of some boundary faces by point "
-                "data `pressurised` = 1"
-            )
-        if self.case.solver.inverse and given.displacement.any():
-            raise InputError(f"{name}: point data `prescribed_displacement` must be 0 where solver.inverse = true")
-        return body
-
     def _solve(self, given: MeshedBody, body: Body) -> tuple[np.ndarray, NewtonReport, Equilibrium]:
-        solver = Equilibrium(self.case.solver.relative_tolerance, lambda words: self.progress.update(None, words))
-        gravity = acceleration_mm_s2(np.array(self.case.loads.gravity_m_s2))
-        X = body.frame.space.positions
-        if self.case.solver.inverse:
-            found, report = solver.unloaded(body, X, gravity)
-        else:
-            held_at = moved(body, given.displacement) if given.displacement.any() else None
-            found, report = solver.loaded(body, X, gravity, held_at=held_at)
-        for line in report.history:
-            self.folder.note(line)
-        return found, report, solver
+        return _find(self.case, given, body, self.ranks, lambda words: self.progress.update(None, words))
 
     def _tell(
         self, given: MeshedBody, body: Body, found: np.ndarray, report: NewtonReport, solver: Equilibrium
@@ -114,6 +92,84 @@ class EquilibriumRun:
             }
         )
         self.folder.save_figure("shape", shape_figure(body.frame.space, start, found, self.case.solver.inverse))
+
+
+def follow(case: EquilibriumCase, ranks: Ranks) -> None:
+    """Solve with the first rank, which leads the run."""
+    given, body = _given(case, ranks)
+    _find(case, given, body, ranks, lambda words: None)
+
+
+def _given(case: EquilibriumCase, ranks: Ranks) -> tuple[MeshedBody, Body]:
+    """The mesh, which the first rank reads, and the body that it is of."""
+    if _on_petsc(case, ranks):
+        ranks.agree(lambda: petsc().communicator(ranks))  # where that fails nothing else need be done
+    mesh = case.body.mesh, case.body.mesh_unit
+    given: Any = ranks.share(ranks.agree(lambda: read_body(*mesh) if ranks.is_first else None))
+    return given, ranks.agree(lambda: _body(case, given, _on_petsc(case, ranks)))
+
+
+def _body(case: EquilibriumCase, given: MeshedBody, is_shared: bool) -> Body:
+    pressure, name = case.loads.pressure_kPa, case.body.mesh.name
+    body = solid_body(
+        given.points,
+        given.tetrahedra,
+        given.is_fixed,
+        given.E,
+        given.nu,
+        given.density,
+        is_sliding=given.is_sliding,
+        is_pressurised=given.is_pressurised,
+        pressure=pressure,
+    )
+    if pressure and body.pressure is None:
+        raise InputError(
+            f"{name}: loads.pressure_kPa = {pressure:g} acts on no face: mark the corners of some boundary faces by point "
+            "data `pressurised` = 1"
+        )
+    if case.solver.inverse and given.displacement.any():
+        raise InputError(f"{name}: point data `prescribed_displacement` must be 0 where solver.inverse = true")
+    if is_shared and (body.frame.sliding_nodes.size or body.frame.skin_facets.size):
+        raise InputError(
+            f"{name}: sliding walls and pressure are for one process: start it without mpiexec, with solver.linear = "
+            '"direct"'
+        )
+    return body
+
+
+def _find(
+    case: EquilibriumCase, given: MeshedBody, body: Body, ranks: Ranks, tell: Callable[[str], None]
+) -> tuple[np.ndarray, NewtonReport, Equilibrium]:
+    """Solve, all ranks together; each gets the whole shape (n_nodes, 3) [mm]."""
+
+    def heard(words: str) -> None:
+        tell(words)
+        if ranks.share(ranks.is_interrupted):
+            raise KeyboardInterrupt
+
+    held_at, on = moved(body, given.displacement) if given.displacement.any() else None, None
+    if _on_petsc(case, ranks):
+        body = shared(body, ranks)
+        on = PetscEngine(layout_of(body.frame), "gamg" if case.solver.linear == "gamg" else "mumps")
+    solver = Equilibrium(case.solver.relative_tolerance, heard, on)
+    X, gravity = body.frame.space.positions, acceleration_mm_s2(np.array(case.loads.gravity_m_s2))
+    with ranks.all_or_none():
+        if case.solver.inverse:
+            found, report = solver.unloaded(body, X, gravity)
+        else:
+            found, report = solver.loaded(body, X, gravity, held_at=held_at)
+    return found, report, solver
+
+
+def _on_petsc(case: EquilibriumCase, ranks: Ranks) -> bool:
+    return ranks.size > 1 or case.solver.linear != "direct"
+
+
+def _how(case: EquilibriumCase, ranks: Ranks) -> list[str]:
+    if not _on_petsc(case, ranks):
+        return []
+    method = "GAMG" if case.solver.linear == "gamg" else "MUMPS"
+    return [f"PETSc's {method} solved the linear systems on {ranks.size} rank{'s' * (ranks.size > 1)}."]
 
 
 def _extent(points: np.ndarray) -> Quantity:

@@ -20,7 +20,10 @@ RUNS = {
     "automaton": (".automaton_run", "AutomatonRun"),
     "equilibrium": (".equilibrium_run", "EquilibriumRun"),
 }
-FOLLOWERS = {"automaton": (".automaton_run", "follow")}  # what the other ranks of several do
+FOLLOWERS = {  # what the other ranks of several do
+    "automaton": (".automaton_run", "follow"),
+    "equilibrium": (".equilibrium_run", "follow"),
+}
 
 
 def simulate(

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from jax import Array
 
+from ..core.ranks import Ranks
 from ..materials.material import EnergyMaterial
 from .elements import (
     NORMAL,
@@ -56,6 +57,9 @@ class Frame:
         Nodes held along a direction only, free across it; a node held along several is there several times.
     sliding_normals : (m, 3) array [1], optional
         These directions, of length 1 (:func:`.supports.walls` finds those of a wall).
+    ranks : Ranks
+        Who shares the body: each rank has elements of its own and all of the nodes, and what is summed over elements is
+        summed over those of all ranks. Shared bodies are made by :mod:`.division`.
     """
 
     space: Space | SolidSpace
@@ -63,6 +67,7 @@ class Frame:
     fixed_nodes: np.ndarray
     sliding_nodes: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     sliding_normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    ranks: Ranks = field(default_factory=Ranks)
 
     @cached_property
     def skin_nodes(self) -> np.ndarray:
@@ -109,7 +114,15 @@ class Frame:
         nodes = np.concatenate([self.space.element_nodes.ravel(), self.skin_nodes.ravel()])
         values = np.concatenate([np.asarray(f).reshape(-1, 3) for f in forces])
         sums = [np.bincount(nodes, weights=column, minlength=self.space.n_nodes) for column in values.T]
-        return np.stack(sums, axis=1)
+        return self.ranks.sum(np.stack(sums, axis=1))
+
+    def total(self, own: float) -> float:
+        """Sum a number of each rank."""
+        return float(self.ranks.sum(np.array([float(own)]))[0])
+
+    def norm(self, shared: np.ndarray, own: np.ndarray) -> float:
+        """Euclidean norm of what all ranks have alike, and of what each has of its own."""
+        return float(np.sqrt(shared.dot(shared) + self.total(own.dot(own))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,9 +194,9 @@ class Body:
     @cached_property
     def active_nodes(self) -> np.ndarray:
         """Nodes that some tissue holds (n_nodes,) bool."""
-        active = np.zeros(self.frame.space.n_nodes, bool)
-        active[self.frame.space.element_nodes[self.fraction > 0.0]] = True
-        return active
+        active = np.zeros(self.frame.space.n_nodes)
+        active[self.frame.space.element_nodes[self.fraction > 0.0]] = 1.0
+        return self.frame.ranks.sum(active) > 0.0
 
     def dilation(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Volume ratio, projected in each element, at quadrature points: X, x (n_nodes, 3) [mm] -> (n_elements, n_qp) [1]."""
@@ -207,8 +220,8 @@ class Body:
     ) -> tuple[sp.bsr_array, VolumeRates]:
         """Derivative of the residual by x on the free dofs [mN/mm^2], and what ties it to the volume ratios.
 
-        Rows of nodes that no tissue holds are those of the identity; ``damping`` times the nodal mass [kg/mm] is added
-        to the diagonal.
+        The derivative is the sum of what all ranks return. Rows of nodes that no tissue holds are those of the identity;
+        ``damping`` times the nodal mass [kg/mm] is added to the diagonal.
         """
         skin = _skin_tangents(self._tables, *self._edges(X, x), self._membrane)
         linearise = partial(_linearisations, self._tables)
@@ -246,7 +259,7 @@ class Body:
         diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
         if added is not None:
             diagonal += np.repeat(added, 3)[free]
-        return pattern.matrix(data, diagonal), rates
+        return pattern.matrix(data, diagonal / self.frame.ranks.size), rates
 
     def volume_force(self, rates: VolumeRates, gap: np.ndarray) -> np.ndarray:
         """Change of force when J_bar changes by ``gap`` (n_elements, n_qp) -> (n_nodes, 3) [mN/mm]."""
@@ -268,6 +281,9 @@ class Body:
 
     def strain_energy(self, X: np.ndarray, x: np.ndarray) -> float:
         """Strain energy of tissue and skin per depth [uJ/mm = mN]."""
+        return self.frame.total(self._own_strain_energy(X, x))
+
+    def _own_strain_energy(self, X: np.ndarray, x: np.ndarray) -> float:
         bulk = np.sum(self.energy_density(X, x) * self.volumes(X) * self.fraction[:, None])
         edges = self.frame.skin_nodes
         return float(bulk + np.sum(_skin_energies(self._tables, X[edges], x[edges], self._membrane)))
@@ -276,19 +292,26 @@ class Body:
         """Strain energy minus the work of gravity from X to x, per depth [mN]: least in a stable equilibrium without pressure."""
         moved = np.einsum("qa,eai->eqi", self.frame.space.table.value, (x - X)[self.frame.space.element_nodes])
         mass = self.density * self.volumes(X) * self.fraction[:, None]
-        return self.strain_energy(X, x) - float(np.einsum("eq,eqi,i->", mass, moved, gravity))
+        work = float(np.einsum("eq,eqi,i->", mass, moved, gravity))
+        return self.frame.total(self._own_strain_energy(X, x) - work)
 
     def lumped_mass(self, X: np.ndarray) -> np.ndarray:
         """Mass per depth at the nodes, row sums of |N_a| (n_nodes,) [kg/mm]: positive, a scale and no more."""
         mass = self.density * self.volumes(X) * self.fraction[:, None]
         shares = np.einsum("eq,qa->ea", mass, np.abs(self.frame.space.table.value))
-        nodes = self.frame.space.element_nodes
-        return np.bincount(nodes.ravel(), weights=shares.ravel(), minlength=self.frame.space.n_nodes)
+        nodes = self.frame.space.element_nodes.ravel()
+        own = np.bincount(nodes, weights=shares.ravel(), minlength=self.frame.space.n_nodes)
+        return self.frame.ranks.sum(own)
 
     def inside_out(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Elements that some point of has turned over between X and x (n,): no shape of any tissue, whatever balances."""
+        """Where, in x, elements lie that some point of has turned over between X and x, of all ranks (n, 3) [mm].
+
+        That is no shape of any tissue, whatever balances.
+        """
         turned = (local_volumes(self.frame.space, X) * local_volumes(self.frame.space, x) <= 0.0).any(axis=1)
-        return np.flatnonzero(turned & (self.fraction > 0.0))
+        corners = self.frame.space.element_nodes[turned & (self.fraction > 0.0), :3]
+        told = self.frame.ranks.gather(x[corners].mean(axis=1).tobytes())
+        return np.concatenate([np.frombuffer(places) for places in told]).reshape(-1, 3)
 
     def volumes(self, X: np.ndarray) -> np.ndarray:
         """Volume (a section's area) at quadrature points: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^3, mm^2]."""

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError
-from ..core.linear import LinearSolver
+from ..core.linear import Engine, LinearSolver
 from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body, Frame, VolumeRates
 from .space import Space
@@ -35,10 +35,18 @@ class Equilibrium:
         Bound on the residual over the weight of the body (Euclidean norms) [1].
     tell : callable, optional
         Hears a few words on each iteration.
+    on : Engine, optional
+        What the linear systems are solved on; that of :func:`.linear.engine` unless given. Bodies that ranks share need one
+        that sums over these ranks.
     """
 
-    def __init__(self, relative_tolerance: float = 1e-8, tell: Callable[[str], None] | None = None) -> None:
-        self.relative_tolerance, self.tell = relative_tolerance, tell
+    def __init__(
+        self,
+        relative_tolerance: float = 1e-8,
+        tell: Callable[[str], None] | None = None,
+        on: Engine | None = None,
+    ) -> None:
+        self.relative_tolerance, self.tell, self._on = relative_tolerance, tell, on
         self._linear: dict[tuple[bool, bool], LinearSolver] = {}  # by symmetry, and by what a section leaves out
         self._forgotten = np.zeros(2, int)
 
@@ -66,7 +74,8 @@ class Equilibrium:
             prefix = "{:d}.{:d}.".format(*key)
             part = {name.removeprefix(prefix): array for name, array in kept.items() if name.startswith(prefix)}
             if part:
-                self._linear[key] = LinearSolver(symmetric=key[0], definite=not isinstance(frame.space, Space))
+                is_solid = not isinstance(frame.space, Space)
+                self._linear[key] = LinearSolver(symmetric=key[0], definite=is_solid, on=self._on)
                 self._linear[key].restore(frame.empty_matrix(key[1]), part)
 
     def loaded(
@@ -201,6 +210,7 @@ class Equilibrium:
         for key in [key for key in self._linear if not key[0]]:
             solver = self._linear.pop(key)
             self._forgotten += solver.n_factorizations, solver.n_steps
+            solver.forget()
 
     def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Newton on the unknown positions and volume ratios together, the ratios eliminated element by element.
@@ -210,7 +220,7 @@ class Equilibrium:
         """
         body, n = problem.body, problem.supports.n_unknowns
         shape = (body.frame.space.n_elements, body.frame.space.table.weight.size)
-        scale = problem.weight / np.sqrt(np.prod(shape))
+        scale = problem.weight / np.sqrt(body.frame.total(np.prod(shape)))
 
         def residual(z: np.ndarray) -> np.ndarray:
             shapes, J_bar = problem.shapes(z[:n]), z[n:].reshape(shape)
@@ -219,7 +229,11 @@ class Equilibrium:
 
         solver, tolerance = self._solver(problem), self.relative_tolerance * problem.weight
         below = REUSE_BELOW if problem.beside == 0.0 else 0.0
-        kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), below, tolerance)
+
+        def norm(r: np.ndarray) -> float:
+            return body.frame.norm(r[:n], r[n:])
+
+        kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), below, tolerance, norm)
 
         def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
             (matrix, rates), forcing = kept.at(z, r)
@@ -230,7 +244,7 @@ class Equilibrium:
             return np.concatenate([du, dJ.ravel()])
 
         z = np.concatenate([problem.unknowns(problem.x), problem.volume_ratios.ravel()])
-        z = newton(residual, step, z, tolerance=tolerance, report=report)
+        z = newton(residual, step, z, tolerance=tolerance, report=report, norm=norm)
         if kept.value is not None and problem.is_symmetric and not solver.is_definite(kept.value[0]):
             raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
         _check_elements(body, *problem.shapes(z[:n]))
@@ -238,7 +252,7 @@ class Equilibrium:
 
     def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Walk down the potential energy."""
-        body, solver = problem.body, LinearSolver(symmetric=True)
+        body, solver = problem.body, LinearSolver(symmetric=True, on=self._on)
 
         def energy(values: np.ndarray) -> float:
             return body.potential(problem.X, problem.positions(values), problem.gravity)
@@ -254,7 +268,10 @@ class Equilibrium:
 
         start = problem.unknowns(problem.x)
         tolerance = self.relative_tolerance * problem.weight
-        values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
+        try:
+            values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
+        finally:
+            solver.forget()
         _check_elements(body, *problem.shapes(values))
         return problem.positions(values)
 
@@ -262,7 +279,7 @@ class Equilibrium:
         key = (problem.is_symmetric, problem.in_plane)
         if key not in self._linear:
             is_solid = not isinstance(problem.body.frame.space, Space)
-            self._linear[key] = LinearSolver(symmetric=problem.is_symmetric, definite=is_solid)
+            self._linear[key] = LinearSolver(symmetric=problem.is_symmetric, definite=is_solid, on=self._on)
         return self._linear[key]
 
 
@@ -270,8 +287,7 @@ def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
     """Refuse a shape that balances with an element turned inside out."""
     turned = body.inside_out(X, x)
     if len(turned):
-        at = x[body.frame.space.element_nodes[turned[0], :3]].mean(axis=0)
-        where = "({}) mm".format(", ".join(f"{value:.1f}" for value in at))
+        where = "({}) mm".format(", ".join(f"{value:.1f}" for value in turned[0]))
         raise ConvergenceError(
             f"{len(turned)} elements turn inside out, the first at {where}: tissue there would have to bear more than it can.",
             [f"{len(turned)} elements inside out, the first at {where}"],
@@ -293,13 +309,19 @@ class _Path:
 class _Kept:
     """A linearisation that is used again as long as it brings the residual down fast enough, and how exactly to solve with it."""
 
-    def __init__(self, linearise: Callable[[np.ndarray], Any], below: float, tolerance: float) -> None:
-        self._linearise, self._below, self._tolerance = linearise, below, tolerance
+    def __init__(
+        self,
+        linearise: Callable[[np.ndarray], Any],
+        below: float,
+        tolerance: float,
+        norm: Callable[[np.ndarray], float],
+    ) -> None:
+        self._linearise, self._below, self._tolerance, self._length = linearise, below, tolerance, norm
         self.value, self._norm = None, np.inf
 
     def at(self, z: np.ndarray, r: np.ndarray) -> tuple[Any, float]:
         """The linearisation to use at z, where the residual is r, and the forcing term of Eisenstat & Walker (1996, choice 2)."""
-        norm = float(np.linalg.norm(r))
+        norm = self._length(r)
         if self.value is None or not norm < self._below * self._norm:
             self.value = None
             self.value = self._linearise(z)

@@ -34,6 +34,7 @@ class Solver(Table):
 
     inverse: bool = False  # the mesh is the loaded shape, and the unloaded one is looked for
     relative_tolerance: Annotated[Number, limits(above=0.0, most=1e-2)] = 1e-8
+    linear: Literal["direct", "mumps", "gamg"] = "direct"  # of several ranks "direct" is MUMPS; both others need PETSc
 
 
 class EquilibriumCase(Table):
