@@ -91,7 +91,9 @@ def test_solution_is_that_of_a_dense_solver(library, b, shift, skew):
     rhs, solver = right_side(matrix), LinearSolver(symmetric=skew == 0.0)
     x = solver.solve(matrix, rhs, 1e-12)
     np.testing.assert_allclose(x, np.linalg.solve(matrix.toarray(), rhs), rtol=0, atol=1e-9 * np.abs(x).max())
-    assert solver.n_steps <= 6
+    assert solver.n_steps <= (
+        6 if shift == 0.0 else 30
+    )  # GMRES may need a restart: a factor in single precision is not linear
     if skew == 0.0 and (library == "mkl" or shift == 0.0):  # SuperLU of an indefinite matrix tells nothing of signs
         assert solver.is_definite(matrix) == (shift == 0.0)
 

@@ -92,7 +92,7 @@ N_NEGATIVE, FACTOR_NNZ = 22, 17  # where it tells of them
 
 
 class Pardiso:
-    """MKL PARDISO: Cholesky or a general factorisation in single precision, or a symmetric indefinite one in double.
+    """MKL PARDISO in single precision: Cholesky, symmetric indefinite, or general.
 
     Parameters
     ----------
@@ -111,13 +111,12 @@ class Pardiso:
 
     def __init__(self, kind: Kind, matrix: sp.bsr_array) -> None:
         self.kind = kind
-        self._type = np.float64 if kind == Kind.SYMMETRIC else np.float32
         self._slots, self._indices, self._indptr = _triangle(matrix) if kind != Kind.GENERAL else _whole(matrix)
         self._handle = np.zeros(64, np.int64)
         self._iparm = np.zeros(64, np.int32)
         self._options(kind)
-        self.values = np.zeros(self._indices.size, self._type)
-        self._x = np.zeros(matrix.shape[0], self._type)
+        self.values = np.zeros(self._indices.size, np.float32)
+        self._x = np.zeros(matrix.shape[0], np.float32)
         self.n_negative: int | None = None
         weakref.finalize(self, _release, self._handle, kind, self._iparm, matrix.shape[0])
         self.values[:] = matrix.data.reshape(-1)[self._slots]
@@ -125,13 +124,12 @@ class Pardiso:
 
     def _options(self, kind: Kind) -> None:
         own, permutation, scaling, matching, inertia, single, from_zero = 0, 9, 10, 12, 20, 27, 34
-        self._iparm[[own, from_zero]] = 1
+        self._iparm[[own, single, from_zero]] = 1
         self._iparm[1] = 2  # METIS
         self._iparm[permutation] = 13 if kind == Kind.GENERAL else 8
         self._iparm[scaling] = self._iparm[matching] = int(kind == Kind.GENERAL)
         self._iparm[inertia] = 1
         self._iparm[FACTOR_NNZ] = -1
-        self._iparm[single] = int(self._type == np.float32)
 
     def factor(self, matrix: sp.bsr_array) -> Pardiso:
         """Factorise; raises FloatingPointError where the matrix is singular, not finite, or not definite where it should be."""
@@ -148,7 +146,7 @@ class Pardiso:
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """(n,) -> (n,) float64."""
-        return self._call(33, rhs.astype(self._type)).astype(float)
+        return self._call(33, rhs.astype(np.float32)).astype(float)
 
     def _call(self, phase: int, rhs: np.ndarray | None = None) -> np.ndarray:
         arrays = self.values, self._indptr, self._indices

@@ -77,15 +77,12 @@ class LinearSolver:
     ----------
     symmetric : bool
         Whether all matrices are.
-    definite : bool
-        Whether a symmetric matrix that is indefinite is refused: factorised as such a large one takes much memory, and where
-        Newton's method meets it, a smaller step is cheaper.
     on : Engine, optional
         What factorises and iterates; the best one of this process unless given.
     """
 
-    def __init__(self, symmetric: bool, definite: bool = False, on: Engine | None = None) -> None:
-        self._symmetric, self._must_be_definite, self._engine = symmetric, definite, on or engine()
+    def __init__(self, symmetric: bool, on: Engine | None = None) -> None:
+        self._symmetric, self._engine = symmetric, on or engine()
         self._methods: dict[Kind, Factorisation] = {}
         self._factor: Factor | None = None
         self._kind = Kind.DEFINITE if symmetric else Kind.GENERAL
@@ -98,7 +95,7 @@ class LinearSolver:
         Raises
         ------
         FloatingPointError
-            Where the matrix is singular or not finite, or not definite where it must be.
+            Where the matrix is singular or not finite.
         """
         if not self._is_stale:
             x = self._iterate(matrix, rhs, tolerance)
@@ -106,7 +103,7 @@ class LinearSolver:
                 return x
         self.factor(matrix)
         x = self._iterate(matrix, rhs, tolerance)
-        if x is None and self._kind == Kind.DEFINITE and not self._must_be_definite:
+        if x is None and self._kind == Kind.DEFINITE:
             # single precision lets a matrix pass that is hardly definite
             self._factorise(Kind.SYMMETRIC, matrix)
             x = self._iterate(matrix, rhs, tolerance)
@@ -121,8 +118,6 @@ class LinearSolver:
         try:
             self._factorise(Kind.DEFINITE, matrix)
         except FloatingPointError:
-            if self._must_be_definite:
-                raise
             self._factorise(Kind.SYMMETRIC, matrix)
         return None
 

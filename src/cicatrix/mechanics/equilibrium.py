@@ -74,8 +74,7 @@ class Equilibrium:
             prefix = "{:d}.{:d}.".format(*key)
             part = {name.removeprefix(prefix): array for name, array in kept.items() if name.startswith(prefix)}
             if part:
-                is_solid = not isinstance(frame.space, Space)
-                self._linear[key] = LinearSolver(symmetric=key[0], definite=is_solid, on=self._on)
+                self._linear[key] = LinearSolver(symmetric=key[0], on=self._on)
                 self._linear[key].restore(frame.empty_matrix(key[1]), part)
 
     def loaded(
@@ -278,8 +277,7 @@ class Equilibrium:
     def _solver(self, problem: _Problem) -> LinearSolver:
         key = (problem.is_symmetric, problem.in_plane)
         if key not in self._linear:
-            is_solid = not isinstance(problem.body.frame.space, Space)
-            self._linear[key] = LinearSolver(symmetric=problem.is_symmetric, definite=is_solid, on=self._on)
+            self._linear[key] = LinearSolver(symmetric=problem.is_symmetric, on=self._on)
         return self._linear[key]
 
 
