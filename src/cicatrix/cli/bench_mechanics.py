@@ -28,7 +28,8 @@ from ..study.equilibrium import solid_body
 from .measurement import Measurement
 
 SEMI_AXES_MM = np.array([65.0, 65.0, 50.0])
-EDGES_MM = {"34k dofs": 10.0, "118k dofs": 6.55, "380k dofs": 4.08}
+EDGES_MM = {"34k dofs": 11.1, "118k dofs": 6.55, "380k dofs": 3.97}
+VOXELS = 8  # per edge, about: the skin is as fine as its voxels
 E_KPA, NU, DENSITY = (1.0, 10.0, 60.0), 0.49, 1e-6  # fat, gland, tumour; kg/mm^3
 GRAVITY = np.array([0.0, -9810.0, 0.0])  # mm/s^2
 PEER_SECONDS = 1200.0  # CalculiX is not waited for longer
@@ -49,9 +50,13 @@ def mechanics() -> list[Measurement]:
 
 def half_ellipsoid(edge_mm: float) -> Body:
     """A breast clamped at its back, meshed as patients are: fat, gland within 0.6 of the axes, a tumour of 16 mm."""
-    z, y, x = np.meshgrid(np.arange(54) + 0.5, *2 * [np.arange(-72.0, 73.0)], indexing="ij")
+    voxel = edge_mm / VOXELS
+    half, deep = int(72.0 / voxel), int(54.0 / voxel)
+    across = voxel * np.arange(-half, half + 1)
+    z, y, x = np.meshgrid(voxel * (np.arange(deep) + 0.5), across, across, indexing="ij")
     inside = ((np.stack([x, y, z], axis=-1) / SEMI_AXES_MM) ** 2).sum(axis=-1) < 1.0
-    labels = Volume(np.where(inside, Label.FAT, Label.AIR).astype(np.uint8), (1.0, 1.0, 1.0), (-72.0, -72.0, 0.5))
+    values = np.where(inside, Label.FAT, Label.AIR).astype(np.uint8)
+    labels = Volume(values, (voxel,) * 3, (across[0], across[0], 0.5 * voxel))
     mesh = mesh_body(labels, edge_mm)
     centres = mesh.nodes[mesh.tetrahedra].mean(axis=1)
     E = np.where(np.linalg.norm(centres / SEMI_AXES_MM, axis=1) < 0.6, E_KPA[1], E_KPA[0])
