@@ -10,6 +10,7 @@ import os
 import site
 import sys
 import weakref
+from abc import ABC, abstractmethod
 from ctypes.util import find_library
 from enum import IntEnum
 from pathlib import Path
@@ -91,6 +92,12 @@ NOT_DEFINITE = -4  # PARDISO's word for a pivot that is not positive, or zero
 N_NEGATIVE, FACTOR_NNZ = 22, 17  # where it tells of them
 
 
+def check_finite(matrix: sp.bsr_array) -> None:
+    """Raise FloatingPointError where a matrix holds NaN or infinity."""
+    if not np.isfinite(matrix.data).all():
+        raise FloatingPointError("the matrix holds numbers that are not finite")
+
+
 class Pardiso:
     """MKL PARDISO in single precision: Cholesky, symmetric indefinite, or general.
 
@@ -133,8 +140,7 @@ class Pardiso:
 
     def factor(self, matrix: sp.bsr_array) -> Pardiso:
         """Factorise; raises FloatingPointError where the matrix is singular, not finite, or not definite where it should be."""
-        if not np.isfinite(matrix.data).all():
-            raise FloatingPointError("the matrix holds numbers that are not finite")
+        check_finite(matrix)
         return self.again(matrix.data.reshape(-1)[self._slots])
 
     def again(self, values: np.ndarray) -> Pardiso:
@@ -195,25 +201,35 @@ def _triangle(matrix: sp.bsr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return slots[upper], indices[upper], np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
 
 
-class SuperLU:
-    """SciPy's SuperLU: slower, everywhere; it tells nothing of the signs of eigenvalues."""
+class _Blocks(ABC):
+    """What SuperLU and multigrid share: the pattern, and the numbers of the last matrix."""
 
     n_negative = None
+
+    def __init__(self, matrix: sp.bsr_array) -> None:
+        self._pattern = (matrix.indices, matrix.indptr), matrix.shape
+        self.values = matrix.data
+
+    def factor(self, matrix: sp.bsr_array) -> Factor:
+        """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
+        check_finite(matrix)
+        return self.again(matrix.data)
+
+    @abstractmethod
+    def again(self, values: np.ndarray) -> Factor:
+        """The factor that was made of these numbers, to the bit; raises FloatingPointError as ``factor``."""
+
+
+class SuperLU(_Blocks):
+    """SciPy's SuperLU: slower, everywhere; it tells nothing of the signs of eigenvalues."""
+
     most_steps = 60
 
     def __init__(self, kind: Kind, matrix: sp.bsr_array) -> None:
-        self._pattern = (matrix.indices, matrix.indptr), matrix.shape
-        self.values = matrix.data
+        super().__init__(matrix)
         self._order = "COLAMD" if kind == Kind.GENERAL else "MMD_AT_PLUS_A"
 
-    def factor(self, matrix: sp.bsr_array) -> SuperLU:
-        """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
-        if not np.isfinite(matrix.data).all():
-            raise FloatingPointError("the matrix holds numbers that are not finite")
-        return self.again(matrix.data)
-
-    def again(self, values: np.ndarray) -> SuperLU:
-        """The factor that was made of these numbers, to the bit; raises FloatingPointError as ``factor``."""
+    def again(self, values: np.ndarray) -> SuperLU:  # noqa: D102
         self.values = values
         blocks = sp.bsr_array((values, *self._pattern[0]), shape=self._pattern[1])
         try:
@@ -227,27 +243,15 @@ class SuperLU:
         return self._lu.solve(rhs)
 
 
-class Multigrid:
+class Multigrid(_Blocks):
     """Smoothed aggregation by pyamg, for definite matrices too large for SuperLU; no factor, and many more steps.
 
     Near-null space: translations. It notices an indefinite matrix only by the negative curvature that the iteration meets.
     """
 
-    n_negative = None
     most_steps = 500
 
-    def __init__(self, matrix: sp.bsr_array) -> None:
-        self._pattern = (matrix.indices, matrix.indptr), matrix.shape
-        self.values = matrix.data
-
-    def factor(self, matrix: sp.bsr_array) -> Multigrid:
-        """Set the levels up; raises FloatingPointError where the matrix is not finite."""
-        if not np.isfinite(matrix.data).all():
-            raise FloatingPointError("the matrix holds numbers that are not finite")
-        return self.again(matrix.data)
-
-    def again(self, values: np.ndarray) -> Multigrid:
-        """The levels that were made of these numbers, to the bit."""
+    def again(self, values: np.ndarray) -> Multigrid:  # noqa: D102
         self.values = values
         matrix = sp.bsr_matrix((values, *self._pattern[0]), shape=self._pattern[1])
         translations = np.tile(np.eye(values.shape[1]), (matrix.shape[0] // values.shape[1], 1))

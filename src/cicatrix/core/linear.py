@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator, gmres
 
-from .factors import Factor, Factorisation, Kind, factorisation
+from .factors import Factor, Factorisation, Kind, check_finite, factorisation
 from .krylov import PetscEngine
 
 PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
@@ -45,8 +45,7 @@ class InProcess:
     stale = 0.4
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
-        if not np.isfinite(matrix.data).all():  # PARDISO looks at the numbers already
-            raise FloatingPointError("the matrix holds numbers that are not finite")
+        check_finite(matrix)  # PARDISO looks at the numbers already
         return factorisation(kind, matrix)
 
     def iterate(  # noqa: D102

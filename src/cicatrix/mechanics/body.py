@@ -36,8 +36,8 @@ from .pattern import Pattern
 from .space import SolidSpace, Space
 from .supports import Supports
 
-# the fused code generator of XLA takes twice as long to compile these kernels, and they run no faster for it
 PIECE = 2048  # elements that are linearised at a time
+# the fused code generator of XLA takes twice as long to compile these kernels, and they run no faster for it
 COMPILER = {"xla_cpu_use_fusion_emitters": False}
 
 

@@ -27,7 +27,7 @@ START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is
 
 
 class Equilibrium:
-    """Solver for bodies on one frame; it keeps factors from solve to solve, which change its path by no more than rounding.
+    """Solver for bodies on one frame; it keeps factors from solve to solve, which change its answers within the tolerance.
 
     Parameters
     ----------
