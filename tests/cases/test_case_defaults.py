@@ -23,12 +23,17 @@ def test_changed_value_is_not_given_the_source_of_the_default():
 def test_defaults_follow_their_sources():
     assert value_at(CASE, "tissue.scar.E_kPa") == pytest.approx(6.2833, abs=1e-4)  # 3.25 * 29 / 15 by hand
     assert value_at(CASE, "tissue.tumour.E_kPa") == pytest.approx(19.44)
-    assert CASE.healing.days_per_step == 0.625  # 15 h
+    assert CASE.days_per_step == 0.625  # 15 h
 
 
 def test_step_length_scales_with_the_pitch():
-    coarse = CASE.healing.model_copy(update={"pitch_um": 40.0})
-    assert coarse.days_per_step == 4 * CASE.healing.days_per_step
+    def at(pitch_um, dimension):
+        healing = CASE.healing.model_copy(update={"pitch_um": pitch_um})
+        return CASE.model_copy(update={"healing": healing, "dimension": dimension}).days_per_step
+
+    assert [at(pitch, 2) for pitch in (40.0, 50.0, 200.0)] == [2.5, 3.125, 3.125]
+    # half a site of 84 um in two cell cycles' 42 um
+    assert at(84.0, 3) == pytest.approx(0.625)
 
 
 def test_units():

@@ -135,7 +135,6 @@ def test_one_fault_one_sentence(name, write):
 
 
 SOLID = 'kind = "lumpectomy"\ndimension = 3\n[image]\nphantom = "half-ellipsoid"\n'
-FORTNIGHT = "[coupling]\ndays_per_cycle = 14\n"
 SOLID_FAULTS = {
     "plane": ('plane = "axial"\n', "image.plane belongs to dimension = 2, where a section is cut; leave it out"),
     "slice": ("slice_mm = 1\n", "image.slice_mm belongs to dimension = 2, where a section is cut; leave it out"),
@@ -152,7 +151,7 @@ SOLID_FAULTS = {
 def test_one_fault_of_a_solid_one_sentence(name, write):
     lines, sentence = SOLID_FAULTS[name]
     pitch = "" if "pitch" in lines else "[healing]\npitch_um = 200\n"
-    assert check_case(write(SOLID + lines + pitch + FORTNIGHT)) == [sentence]
+    assert check_case(write(SOLID + lines + pitch)) == [sentence]
 
 
 def test_an_image_is_no_mirror_image(write):
@@ -162,7 +161,7 @@ def test_an_image_is_no_mirror_image(write):
 
 
 def test_a_solid_has_coarser_elements_by_default(write):
-    case = load_case(write(SOLID + "[healing]\npitch_um = 200\n[mesh]\nedge_mm = 6\n" + FORTNIGHT))
+    case = load_case(write(SOLID + "[healing]\npitch_um = 200\n[mesh]\nedge_mm = 6\n"))
     assert (case.mesh.edge_mm, case.mesh.cavity_edge_mm) == (6, 2)
     assert load_case(write(PHANTOM)).mesh.edge_mm == 3
 

@@ -8,6 +8,7 @@ from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton, AutomatonRules
 from cicatrix.healing.model import Cue
 from cicatrix.healing.rates import LAYER_UM, P_LAYER, hours_per_step_at_pitch, rules_at_pitch, straight_front_speed
+from cicatrix.outcome import closure
 
 
 def disc(radius_mm, pitch_mm, rules, seed=1):
@@ -56,6 +57,21 @@ def test_wound_stays_round_without_feedback(seed):
     assert roundness(automaton, state) < 0.06
 
 
+@pytest.mark.parametrize("pitch", [75.0, 100.0])
+def test_a_ball_stays_round_and_keeps_its_time(pitch):
+    """Radius 3 mm, with the default rates: radii of gyration within 6 % at a fifth of its volume, days as at 50 um."""
+    lattice = Lattice.covering((-4.9,) * 3, (4.9,) * 3, pitch * 1e-3)
+    open0 = np.linalg.norm(lattice.positions(), axis=-1) < 3.0
+    automaton = Automaton(lattice, np.ones(lattice.shape, bool), open0, rules_at_pitch(pitch, 3), 0)
+    state, left = automaton.initial_state(), [1.0]
+    while left[-1] > 0.2:
+        state = automaton.advance(state)
+        left.append((open0.size - state.n_cells) / np.count_nonzero(open0))
+    assert closure.roundness(lattice, ~state.occupancy) > 0.94
+    steps = np.interp(-0.2, -np.array(left), np.arange(len(left)))
+    assert steps * hours_per_step_at_pitch(pitch, n_axes=3) / 24 == pytest.approx(13.16, rel=0.05)
+
+
 def test_feedback_breaks_the_symmetry():
     automaton = disc(1.2, 0.02, rules_at_pitch(20.0, p_layer=0.02, layer_um=160.0, feedback=1.0))
     x = automaton.lattice.positions()[..., 0]
@@ -86,6 +102,18 @@ class TestRates:
         # 0.1 of a layer of 0.4 mm per 15 h
         assert straight_front_speed(0.1, 400.0, 15.0) == pytest.approx(0.064)
 
+    def test_scaling_beyond_50_um_and_in_3d_by_hand(self):
+        # 100 um: five cell cycles, not ten; per cycle the edge gains half as many sites
+        rules = rules_at_pitch(100.0, p_edge=0.2, p_layer=0.1, layer_um=400.0, motility_substeps=40)
+        assert (rules.p_edge, rules.p_layer) == pytest.approx((0.1, 0.5))
+        assert (rules.layer_sites, rules.motility_substeps) == (4, 2)
+        # a solid: half of 100 um in two cycles' 0.1 x 400 um is 1.25 cycles
+        rules = rules_at_pitch(100.0, 3, p_edge=0.2, p_layer=0.1, layer_um=400.0, motility_substeps=160)
+        assert (rules.p_edge, rules.p_layer) == pytest.approx((0.025, 0.125))
+        assert (rules.layer_sites, rules.motility_substeps) == (4, 2)
+        assert hours_per_step_at_pitch(100.0, 15.0, 3, p_layer=0.1, layer_um=400.0) == pytest.approx(18.75)
+        assert rules_at_pitch(100.0, 3, layer_um=0.0, p_layer=0.1).p_layer == pytest.approx(0.5)
+
     def test_defaults_leave_room_for_feedback(self):
         for pitch in (40.0, 50.0):
             assert rules_at_pitch(pitch).p_layer * (1 + 4) < 1
@@ -96,7 +124,7 @@ class TestRates:
         [
             ({"pitch_um": 0.0}, "pitch_um"),
             ({"pitch_um": np.nan}, "pitch_um"),
-            ({"pitch_um": 110.0, "p_layer": 0.1}, "above 1"),
+            ({"pitch_um": 50.0, "p_layer": 0.3}, "above 1"),
             ({"pitch_um": 50.0, "layer_um": 20.0}, "thinner"),
             ({"pitch_um": 10.0, "p_edge": 1.5}, "p_edge"),
             ({"pitch_um": 10.0, "layer_um": np.nan}, "layer_um"),

@@ -1,18 +1,22 @@
 """From a case's physical numbers to the rules on a lattice of any pitch, and the calibrated defaults.
 
 The reference is one cell per site: pitch 10 um, one cell cycle (``hours_per_step``) per step. A coarser site stands for
-a block of cells, and its step is longer in proportion, dt = hours_per_step h / 10 um. What each number becomes:
+a block of cells, and its step takes k cell cycles. In 2-D k = h / 10 um, but at most 5: beyond that feedback has no room
+below a probability of 1. In 3-D k = h / (2 p_layer layer_um), so that without feedback a straight front moves by half a
+site in a step: daughters that make several sites of front at once make the facets of the lattice, however many cells
+wander. What each number becomes:
 
 * layer: a cell of the layer divides at the rate p_layer / hours_per_step, whatever the pitch; the daughters of a layer
   of thickness delta, per length of front, advance a straight front by v = (p_layer / hours_per_step) delta. So
-  p(h) = p_layer h / 10 um in a step of dt, and layer_sites = layer_um / h, rounded.
-* edge: the front gains a fixed part of a site per step, v = f(p_edge) h / dt, and h / dt is kept: p_edge is unchanged.
-* motility: n sub-steps diffuse with D = n h^2 c / dt (c = 3/16 in 2-D, 1/8 in 3-D), so D is kept by n(h) = n 10 um / h,
-  rounded to a whole number, at least 1.
+  p(h) = k p_layer, and layer_sites = layer_um / h, rounded.
+* edge: the front gains a part of a site per step that is proportional to p_edge, v = f p_edge h / (k hours_per_step), so
+  p_edge(h) = k p_edge 10 um / h.
+* motility: n sub-steps diffuse with D = n h^2 c / dt (c = 3/16 in 2-D, 1/8 in 3-D), so D is kept by
+  n(h) = n k (10 um / h)^2, rounded to a whole number, at least 1.
 
 Kept: the speed of the front in mm/day, from both kinds of division, and up to rounding the layer's thickness and D.
 Not kept: the noise of the front, which grows with the pitch; what is smaller than a few sites; and curvature flow where
-n(h) is so small that the level set of the lattice does not move.
+n(h) is so small that the level set of the lattice does not move. docs/decisions/0005 has the measurements.
 """
 
 from __future__ import annotations
@@ -31,9 +35,21 @@ P_LAYER = 0.035
 LAYER_UM = 1200.0
 MOTILITY_SUBSTEPS = 8
 
+LONGEST_STEP = 5.0  # cell cycles, in 2-D
+SITES_PER_STEP = 0.5  # that a straight front moves, in 3-D
+
+
+def cycles_per_step(pitch_um: float, n_axes: int = 2, p_layer: float = P_LAYER, layer_um: float = LAYER_UM) -> float:
+    """Cell cycles that a step takes at this pitch [1]; raises InputError where the pitch is not positive."""
+    if not (np.isfinite(pitch_um) and pitch_um > 0):
+        raise InputError(f"pitch_um must be positive; got {pitch_um}")
+    most = min(pitch_um / CELL_UM, LONGEST_STEP)
+    return min(most, SITES_PER_STEP * pitch_um / (p_layer * layer_um)) if n_axes == 3 and p_layer * layer_um else most
+
 
 def rules_at_pitch(
     pitch_um: float,
+    n_axes: int = 2,
     *,
     p_edge: float = P_EDGE,
     p_layer: float = P_LAYER,
@@ -47,6 +63,8 @@ def rules_at_pitch(
     ----------
     pitch_um : float
         Pitch of the lattice [um].
+    n_axes : int
+        Of the lattice, 2 or 3.
     p_edge, p_layer : float
         Probabilities per cell cycle at 10 um [1].
     layer_um : float
@@ -59,30 +77,39 @@ def rules_at_pitch(
     InputError
         If the pitch is not positive, the layer is thinner than one site, or the probability at this pitch exceeds 1.
     """
-    if not (np.isfinite(pitch_um) and pitch_um > 0):
-        raise InputError(f"pitch_um must be positive; got {pitch_um}")
+    cycles, scale = cycles_per_step(pitch_um, n_axes, p_layer, layer_um), pitch_um / CELL_UM
     if not (np.isfinite(layer_um) and layer_um >= 0):
         raise InputError(f"layer_um must be zero or positive; got {layer_um}")
-    scale = pitch_um / CELL_UM
-    if not p_layer * scale <= 1:
+    if not p_layer * cycles <= 1:
         raise InputError(
-            f"p_layer = {p_layer} at 10 um becomes {p_layer * scale:.3g} at pitch_um = {pitch_um}, above 1: "
+            f"p_layer = {p_layer} at 10 um becomes {p_layer * cycles:.3g} at pitch_um = {pitch_um}, above 1: "
             f"take pitch_um <= {CELL_UM / p_layer:.3g}"
         )
     layer_sites = round(layer_um / pitch_um)
     if layer_um > 0 and layer_sites < 1:
         raise InputError(f"layer_um = {layer_um} is thinner than one site of pitch_um = {pitch_um}: take a finer pitch")
-    n_substeps = max(1, round(motility_substeps / scale)) if motility_substeps else 0
+    n_substeps = max(1, round(motility_substeps * cycles / scale**2)) if motility_substeps else 0
     return AutomatonRules(
-        p_edge=p_edge, p_layer=p_layer * scale, layer_sites=layer_sites, motility_substeps=n_substeps, **others
+        p_edge=p_edge * (cycles / scale),
+        p_layer=p_layer * cycles,
+        layer_sites=layer_sites,
+        motility_substeps=n_substeps,
+        **others,
     )
 
 
-def hours_per_step_at_pitch(pitch_um: float, hours_per_step: float = HOURS_PER_STEP) -> float:
-    """Duration of one step at this pitch [h], given the cell cycle at 10 um [h]."""
+def hours_per_step_at_pitch(
+    pitch_um: float,
+    hours_per_step: float = HOURS_PER_STEP,
+    n_axes: int = 2,
+    *,
+    p_layer: float = P_LAYER,
+    layer_um: float = LAYER_UM,
+) -> float:
+    """Duration of one step at this pitch [h], given the cell cycle [h] and what ``rules_at_pitch`` is given."""
     if not (np.isfinite(hours_per_step) and hours_per_step > 0):
         raise InputError(f"hours_per_step must be positive; got {hours_per_step}")
-    return hours_per_step * pitch_um / CELL_UM
+    return hours_per_step * cycles_per_step(pitch_um, n_axes, p_layer, layer_um)
 
 
 def straight_front_speed(

@@ -18,7 +18,15 @@ from ..core.errors import InputError
 from ..core.units import days_from_hours, mm_from_um
 from ..geometry.hexgrid import Lattice
 from ..geometry.volume import AXES
-from ..healing.rates import CELL_UM, HOURS_PER_STEP, LAYER_UM, MOTILITY_SUBSTEPS, P_EDGE, P_LAYER, rules_at_pitch
+from ..healing.rates import (
+    HOURS_PER_STEP,
+    LAYER_UM,
+    MOTILITY_SUBSTEPS,
+    P_EDGE,
+    P_LAYER,
+    hours_per_step_at_pitch,
+    rules_at_pitch,
+)
 from ..healing.rules import AutomatonRules
 from .limits import (
     Ascending,
@@ -36,7 +44,6 @@ from .sites import box_around, too_many
 
 Position = Literal["prone", "supine", "upright"]
 SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # what a mesh of three dimensions has by default
-REFERENCE_PITCH_UM = CELL_UM  # the pitch at which healing.hours_per_step is given
 
 
 class Table(BaseModel):
@@ -185,11 +192,6 @@ class Healing(Table):
             raise fault("layer_um", f"must be at least pitch_um ({self.pitch_um:g}); got {self.layer_um:g}")
         return self
 
-    @property
-    def days_per_step(self) -> float:
-        """Length of one automaton step at this pitch [days]: it scales with the pitch, so the front keeps its speed."""
-        return days_from_hours(self.hours_per_step * self.pitch_um / REFERENCE_PITCH_UM)
-
 
 class Coupling(Table):
     """How often, and in which direction, mechanics and healing talk."""
@@ -258,6 +260,15 @@ class LumpectomyCase(Table):
         """Seed of the random numbers."""
         return self.run.seed
 
+    @property
+    def days_per_step(self) -> float:
+        """Length of one automaton step at this pitch [days]."""
+        h = self.healing
+        hours = hours_per_step_at_pitch(
+            h.pitch_um, h.hours_per_step, self.dimension, p_layer=h.p_layer, layer_um=h.layer_um
+        )
+        return days_from_hours(hours)
+
     def rules(self) -> AutomatonRules:
         """What a cell does in one step, at this pitch.
 
@@ -269,6 +280,7 @@ class LumpectomyCase(Table):
         h = self.healing
         return rules_at_pitch(
             h.pitch_um,
+            self.dimension,
             p_edge=h.p_edge,
             p_layer=h.p_layer,
             layer_um=h.layer_um,
@@ -312,7 +324,7 @@ class LumpectomyCase(Table):
 
     @model_validator(mode="after")
     def _cycle_holds_a_step(self) -> LumpectomyCase:
-        step, cycle = self.healing.days_per_step, self.coupling.days_per_cycle
+        step, cycle = self.days_per_step, self.coupling.days_per_cycle
         if cycle < step:
             sentence = f"must hold at least one automaton step ({step:g} days at this pitch); got {cycle:g}"
             raise fault("coupling.days_per_cycle", sentence)

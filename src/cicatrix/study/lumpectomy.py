@@ -102,7 +102,7 @@ def healing_cycle(
         sites=sites,
         deposition=Deposition(case.healing.deposition == "loaded", case.healing.deposition_prestretch),
         days_per_cycle=case.coupling.days_per_cycle,
-        days_per_step=case.healing.days_per_step,
+        days_per_step=case.days_per_step,
         equilibrium=equilibrium,
     )
 
