@@ -207,7 +207,7 @@ def solve(body, law):
     load = np.zeros_like(X)
     np.add.at(load, cells, np.einsum("eq,eqi,qa->eai", weights, force, table.value))
     free, _ = body.frame.solved(False)
-    solver = LinearSolver(symmetric=True)
+    solver = LinearSolver()
     for _ in range(8):
         r = (body.residual(X, x, np.zeros(3)) - load).ravel()[free]
         if np.linalg.norm(r) < 1e-9 * np.linalg.norm(load):

@@ -59,7 +59,7 @@ def body_of(space, law, *, fixed=(), sliding=None, pressed=None, pressure=0.0):
 def converged(body, x, load, steps=12):
     """Newton with a fresh tangent each time under dead loads (n_nodes, 3) [mN]: positions, norms of the residual."""
     X, supports = body.frame.space.positions, body.frame.supports(False)
-    solver, norms = LinearSolver(symmetric=True), []
+    solver, norms = LinearSolver(), []
     for _ in range(steps):
         r = supports.unknowns(body.residual(X, x, np.zeros(3)) - load)
         norms.append(np.linalg.norm(r))

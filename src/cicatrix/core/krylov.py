@@ -18,6 +18,7 @@ from .petsc import INSERT, Petsc, petsc
 from .ranks import Ranks
 
 Method = Literal["mumps", "gamg"]
+Krylov = Literal["cg", "gmres"]
 DIVERGED_BY_STEPS, DIVERGED_INDEFINITE = -3, -10  # KSP_DIVERGED_ITS, KSP_DIVERGED_INDEFINITE_MAT
 SYMMETRIC_OPTION = 1  # MAT_SYMMETRIC
 
@@ -89,8 +90,7 @@ class PetscEngine:
     layout : Layout, optional
         This process alone unless given.
     method : {"mumps", "gamg"}
-        A direct factorisation, or smoothed aggregation for symmetric matrices (then MUMPS serves what is indefinite and what
-        is not symmetric).
+        A direct factorisation, or smoothed aggregation (then MUMPS serves what is indefinite).
     """
 
     layout: Layout | None = None
@@ -98,21 +98,25 @@ class PetscEngine:
     library: Petsc = field(default_factory=petsc)
 
     @property
-    def stale(self) -> float:
+    def patience(self) -> float:
         """Each matrix gets its own preconditioner: many solves with an old one mean many messages between ranks."""
-        return 0.0
+        return -1.0
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> PetscSystem:  # noqa: D102
         layout = self.layout or Layout(Ranks(), np.zeros(matrix.shape[0] // matrix.blocksize[0], int))
-        options = MUMPS_LU if kind == Kind.GENERAL else MUMPS_LDL
-        if self.method == "gamg" and kind == Kind.DEFINITE:
-            options = GAMG
+        options = GAMG if self.method == "gamg" and kind == Kind.DEFINITE else MUMPS_LDL
         return PetscSystem(self.library, layout, kind, options, matrix)
 
     def iterate(  # noqa: D102
-        self, factor: PetscSystem, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+        self,
+        factor: PetscSystem,
+        method: Krylov,
+        matrix: sp.bsr_array,
+        rhs: np.ndarray,
+        tolerance: float,
+        most_steps: int,
     ) -> tuple[np.ndarray | None, int]:
-        return factor.iterate(matrix, rhs, tolerance, most_steps)
+        return factor.iterate(method, matrix, rhs, tolerance, most_steps)
 
     def release(self, methods: Sequence[PetscSystem]) -> None:  # noqa: D102
         for method in methods:
@@ -133,9 +137,13 @@ class PetscSystem:
         self.values = np.zeros(0)
         self._loaded = lambda: None
         self._make_matrix(matrix)
-        self._make_solver()
+        if self._is_multigrid and layout.positions is not None:
+            self._keep_rigid_motions(layout.positions)
+        self._cg = self._make_solver("cg", CONJUGATE_GRADIENTS, None)
+        self._gmres = self._make_solver("gmres", MINIMAL_RESIDUALS, self._cg)
         handles = [
-            ("KSPDestroy", self._ksp),
+            ("KSPDestroy", self._gmres),
+            ("KSPDestroy", self._cg),
             ("VecDestroy", self._x),
             ("VecDestroy", self._b),
             ("MatDestroy", self._matrix),
@@ -163,21 +171,29 @@ class PetscSystem:
         i, j = (places[0][:, None, None] + k[:, None]), (places[1][:, None, None] + k[None, :])
         i, j = (np.ascontiguousarray(np.broadcast_to(m, matrix.data.shape), self._petsc.int_type) for m in (i, j))
         call("MatSetPreallocationCOO", self._matrix, c_ssize_t(i.size), _at(i), _at(j))
-        if self.kind != Kind.GENERAL:
-            call("MatSetOption", self._matrix, c_int(SYMMETRIC_OPTION), c_int(1))
+        call("MatSetOption", self._matrix, c_int(SYMMETRIC_OPTION), c_int(1))  # of what is factorised
         self._x, self._b = c_void_p(), c_void_p()
         call("MatCreateVecs", self._matrix, byref(self._x), byref(self._b))
 
-    def _make_solver(self) -> None:
-        call, prefix = self._petsc.call, f"cicatrix_{self._preconditioner['pc_type']}_{self.kind.name.lower()}_"
-        self._ksp = self._petsc.new("KSPCreate", self._comm)
-        krylov = CONJUGATE_GRADIENTS if self.kind == Kind.DEFINITE else MINIMAL_RESIDUALS
+    def _make_solver(self, name: str, krylov: dict[str, str | float], beside: c_void_p | None) -> c_void_p:
+        """A Krylov method with a preconditioner of its own, or that of the one beside it."""
+        call = self._petsc.call
+        prefix = f"cicatrix_{self._preconditioner['pc_type']}_{self.kind.name.lower()}_{name}_"
+        ksp = self._petsc.new("KSPCreate", self._comm)
+        if beside is not None:
+            call("KSPSetPC", ksp, self._conditioner)
         self._petsc.set_options({**krylov, **self._preconditioner}, prefix)
-        call("KSPSetOptionsPrefix", self._ksp, prefix.encode())
-        if self._is_multigrid and self._layout.positions is not None:
-            self._keep_rigid_motions(self._layout.positions)
-        call("KSPSetOperators", self._ksp, self._matrix, self._matrix)
-        call("KSPSetFromOptions", self._ksp)
+        call("KSPSetOptionsPrefix", ksp, prefix.encode())
+        call("KSPSetOperators", ksp, self._matrix, self._matrix)
+        call("KSPSetFromOptions", ksp)
+        return ksp
+
+    @property
+    def _conditioner(self) -> c_void_p:
+        """The preconditioner that both methods share."""
+        out = c_void_p()
+        self._petsc.call("KSPGetPC", self._cg, byref(out))
+        return out
 
     @property
     def most_steps(self) -> int:
@@ -210,9 +226,9 @@ class PetscSystem:
             raise FloatingPointError("the matrix holds numbers that are not finite")
         self.values = values
         self._load(values, matrix)
-        self._petsc.call("KSPSetReusePreconditioner", self._ksp, c_int(0))
-        self._petsc.call("KSPSetUp", self._ksp)
-        self._petsc.call("KSPSetReusePreconditioner", self._ksp, c_int(1))
+        self._petsc.call("PCSetReusePreconditioner", self._conditioner, c_int(0))
+        self._petsc.call("PCSetUp", self._conditioner)
+        self._petsc.call("PCSetReusePreconditioner", self._conditioner, c_int(1))
         if not self._is_multigrid:
             self._check_factor()
         return self
@@ -222,19 +238,16 @@ class PetscSystem:
             return
         values = np.ascontiguousarray(values, float)
         self._petsc.call("MatSetValuesCOO", self._matrix, _at(values), c_int(INSERT))
-        self._petsc.call("KSPSetOperators", self._ksp, self._matrix, self._matrix)
+        self._petsc.call("PCSetOperators", self._conditioner, self._matrix, self._matrix)
         self._loaded = weakref.ref(matrix) if matrix is not None else lambda: None
 
     def _check_factor(self) -> None:
-        preconditioner, reason = c_void_p(), c_int()
-        self._petsc.call("KSPGetPC", self._ksp, byref(preconditioner))
-        self._petsc.call("PCGetFailedReason", preconditioner, byref(reason))
+        reason = c_int()
+        self._petsc.call("PCGetFailedReason", self._conditioner, byref(reason))
         if reason.value:
             raise FloatingPointError("MUMPS finds the matrix singular")
-        if self.kind == Kind.GENERAL:
-            return
         factor, counts = c_void_p(), [self._petsc.integer(0) for _ in range(3)]
-        self._petsc.call("PCFactorGetMatrix", preconditioner, byref(factor))
+        self._petsc.call("PCFactorGetMatrix", self._conditioner, byref(factor))
         self._petsc.call("MatGetInertia", factor, *map(byref, counts))
         self.n_negative = counts[0].value
         if counts[1].value:
@@ -243,27 +256,25 @@ class PetscSystem:
             raise FloatingPointError("a pivot is not positive")
 
     def iterate(
-        self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+        self, method: Krylov, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
     ) -> tuple[np.ndarray | None, int]:
         """Solve to |b - K x| <= tolerance |b|: the solution, or None where it is not reached, and the steps taken."""
-        call = self._petsc.call
+        call, ksp = self._petsc.call, self._cg if method == "cg" else self._gmres
         self._load(matrix.data.reshape(-1), matrix)
         self._fill(self._b, rhs.reshape(-1, self._block)[self._layout.own])
         bounds = c_double(tolerance), c_double(0.0), c_double(1e12)
-        call("KSPSetTolerances", self._ksp, *bounds, self._petsc.integer(most_steps))
-        call("KSPSolve", self._ksp, self._b, self._x)
+        call("KSPSetTolerances", ksp, *bounds, self._petsc.integer(most_steps))
+        call("KSPSolve", ksp, self._b, self._x)
         reason, steps = c_int(), self._petsc.integer(0)
-        call("KSPGetConvergedReason", self._ksp, byref(reason))
-        call("KSPGetIterationNumber", self._ksp, byref(steps))
+        call("KSPGetConvergedReason", ksp, byref(reason))
+        call("KSPGetIterationNumber", ksp, byref(steps))
         taken = steps.value - (reason.value == DIVERGED_INDEFINITE)
         return (self._solution() if reason.value > 0 else None), taken
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
         """Apply the preconditioner: (n,) -> (n,) float64."""
-        preconditioner = c_void_p()
-        self._petsc.call("KSPGetPC", self._ksp, byref(preconditioner))
         self._fill(self._b, rhs.reshape(-1, self._block)[self._layout.own])
-        self._petsc.call("PCApply", preconditioner, self._b, self._x)
+        self._petsc.call("PCApply", self._conditioner, self._b, self._x)
         return self._solution()
 
     def _fill(self, vector: c_void_p, own: np.ndarray) -> None:

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.sparse.linalg import LinearOperator, gmres
+from scipy.sparse.linalg import LinearOperator
+from scipy.sparse.linalg import gmres as scipy_gmres
 
 from .factors import Factor, Factorisation, Kind, check_finite, factorisation
-from .krylov import PetscEngine
+from .krylov import Krylov, PetscEngine
 
 PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
 
@@ -20,8 +21,8 @@ class Engine(Protocol):
     """What factorises and iterates, on this process or on several ranks."""
 
     @property
-    def stale(self) -> float:
-        """Share of the most steps with a factor: one with which a solve took more is replaced before the next one."""
+    def patience(self) -> float:
+        """Krylov steps in excess of what a fresh factor would take that are worth another factor."""
         ...
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:
@@ -29,7 +30,7 @@ class Engine(Protocol):
         ...
 
     def iterate(
-        self, factor: Any, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+        self, factor: Any, method: Krylov, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
     ) -> tuple[np.ndarray | None, int]:
         """Solve with a factor: the solution, or None where it is not reached, and the steps taken."""
         ...
@@ -42,18 +43,17 @@ class Engine(Protocol):
 class InProcess:
     """What this process has without PETSc (``factorisation``), and the Krylov methods below."""
 
-    stale = 0.4
+    patience = 30.0  # about what a factor of 30 000 unknowns costs; of 100 000 it is 45, of a section 10
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
         check_finite(matrix)  # PARDISO looks at the numbers already
         return factorisation(kind, matrix)
 
     def iterate(  # noqa: D102
-        self, factor: Factor, kind: Kind, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+        self, factor: Factor, method: Krylov, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
     ) -> tuple[np.ndarray | None, int]:
-        if kind == Kind.DEFINITE:
-            return conjugate_gradients(matrix, rhs, factor.solve, tolerance, most_steps)
-        return _gmres(matrix, rhs, factor.solve, tolerance, most_steps)
+        solve = conjugate_gradients if method == "cg" else gmres
+        return solve(matrix, rhs, factor.solve, tolerance, most_steps)
 
     def release(self, methods: Sequence[Factorisation]) -> None:  # noqa: D102
         pass  # they do it when nobody knows them any more
@@ -67,90 +67,106 @@ def engine() -> Engine:
 class LinearSolver:
     """Solve K x = b to a tolerance by a Krylov method in double precision, preconditioned by a factor that is kept.
 
-    A symmetric matrix is factorised as if it were definite (Cholesky, single precision) and solved with by conjugate
-    gradients; where it turns out to be indefinite it is factorised as such. The factor is kept as long as it serves: while
-    the iteration with it is short and meets no negative curvature. What is done depends on numbers alone, never on
-    time.
+    A symmetric matrix is factorised as if it were definite (Cholesky, single precision), and where it turns out to be
+    indefinite as such; in place of one that is not symmetric a symmetric one is that is near. Symmetric matrices with a
+    definite factor are solved with by conjugate gradients, all others by generalised minimal residuals.
+
+    The factor is kept until the steps that it took in excess of those with which it began, for as many digits, would have paid
+    for another one, or until it fails. What is done depends on numbers alone, never on time.
 
     Parameters
     ----------
-    symmetric : bool
-        Whether all matrices are.
     on : Engine, optional
         What factorises and iterates; the best one of this process unless given.
     """
 
-    def __init__(self, symmetric: bool, on: Engine | None = None) -> None:
-        self._symmetric, self._engine = symmetric, on or engine()
+    def __init__(self, on: Engine | None = None) -> None:
+        self._engine = on or engine()
         self._methods: dict[Kind, Factorisation] = {}
         self._factor: Factor | None = None
-        self._kind = Kind.DEFINITE if symmetric else Kind.GENERAL
-        self._is_stale = True
+        self._kind = Kind.DEFINITE
+        self._best_rate, self._excess = np.inf, np.inf
         self.n_factorizations, self.n_steps = 0, 0
 
-    def solve(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float) -> np.ndarray:
+    def solve(
+        self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, near: Callable[[], sp.bsr_array] | None = None
+    ) -> np.ndarray:
         """Solve to |b - K x| <= tolerance |b|: (n,) -> (n,).
+
+        Parameters
+        ----------
+        matrix : (n, n) bsr_array
+            K, symmetric unless ``near`` is given.
+        rhs : (n,) array
+            b.
+        tolerance : float
+            Bound on the residual over the right-hand side (Euclidean norms).
+        near : callable, optional
+            Makes a symmetric matrix of the same pattern that is near to K.
 
         Raises
         ------
         FloatingPointError
             Where the matrix is singular or not finite.
         """
-        if not self._is_stale:
-            x = self._iterate(matrix, rhs, tolerance)
+        symmetric = near is None
+        if self._excess <= self._engine.patience:
+            x = self._iterate(matrix, rhs, tolerance, symmetric)
             if x is not None:
                 return x
-        self.factor(matrix)
-        x = self._iterate(matrix, rhs, tolerance)
+        part = matrix if near is None else near()
+        self.factor(part)
+        x = self._iterate(matrix, rhs, tolerance, symmetric)
         if x is None and self._kind == Kind.DEFINITE:
             # single precision lets a matrix pass that is hardly definite
-            self._factorise(Kind.SYMMETRIC, matrix)
-            x = self._iterate(matrix, rhs, tolerance)
+            self._factorise(Kind.SYMMETRIC, part)
+            x = self._iterate(matrix, rhs, tolerance, symmetric)
         if x is None:
             raise FloatingPointError("the matrix is singular to working precision")
         return x
 
     def factor(self, matrix: sp.bsr_array) -> None:
-        """Factorise this matrix; raises FloatingPointError where it is singular or not finite."""
-        if not self._symmetric:
-            return self._factorise(Kind.GENERAL, matrix)
+        """Factorise this symmetric matrix; raises FloatingPointError where it is singular or not finite."""
         try:
             self._factorise(Kind.DEFINITE, matrix)
         except FloatingPointError:
             self._factorise(Kind.SYMMETRIC, matrix)
-        return None
 
     def _factorise(self, kind: Kind, matrix: sp.bsr_array) -> None:
-        self._is_stale = True
+        self._best_rate, self._excess = np.inf, np.inf
         if kind not in self._methods:
             self._methods[kind] = self._engine.factorisation(kind, matrix)
         self.n_factorizations += 1
         self._factor, self._kind = self._methods[kind].factor(matrix), kind
-        self._is_stale = False
+        self._excess = 0.0
 
     def forget(self) -> None:
         """Let the factor's memory go."""
         self._engine.release(list(self._methods.values()))
-        self._methods, self._factor, self._is_stale = {}, None, True
+        self._methods, self._factor, self._excess = {}, None, np.inf
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on, for ``restore``; empty before the first."""
         if self._factor is None:
             return {}
-        return {"values": self._factor.values, "kind": np.array(self._kind), "is_stale": np.array(self._is_stale)}
+        served = np.array([self._best_rate, self._excess])
+        return {"values": self._factor.values, "kind": np.array(self._kind), "served": served}
 
     def restore(self, matrix: sp.bsr_array, kept: Mapping[str, np.ndarray]) -> None:
         """Go on, to the bit, where another solver was; ``matrix`` is any of the pattern."""
-        self._kind, self._is_stale = Kind(int(kept["kind"])), bool(kept["is_stale"])
+        self._kind, (self._best_rate, self._excess) = Kind(int(kept["kind"])), map(float, kept["served"])
         self._methods[self._kind] = self._engine.factorisation(self._kind, matrix)
         self._factor = self._methods[self._kind].again(kept["values"])
 
-    def _iterate(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float) -> np.ndarray | None:
+    def _iterate(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, symmetric: bool) -> np.ndarray | None:
         """Solve with the factor that is there; None where it does not serve."""
         most = self._factor.most_steps
-        x, steps = self._engine.iterate(self._factor, self._kind, matrix, rhs, tolerance, most)
+        method = "cg" if symmetric and self._kind == Kind.DEFINITE else "gmres"
+        x, steps = self._engine.iterate(self._factor, method, matrix, rhs, tolerance, most)
         self.n_steps += steps
-        self._is_stale = steps > self._engine.stale * most
+        digits = max(-np.log10(tolerance), 1.0)
+        self._best_rate = min(self._best_rate, steps / digits)
+        self._excess = np.inf if x is None else self._excess + steps - self._best_rate * digits
         return x
 
     def is_definite(self, matrix: sp.bsr_array) -> bool:
@@ -161,7 +177,7 @@ class LinearSolver:
         if self._kind != Kind.DEFINITE:
             return not self._factor.n_negative
         rhs = np.random.Generator(np.random.Philox(0)).standard_normal(matrix.shape[0])
-        x, steps = self._engine.iterate(self._factor, self._kind, matrix, rhs, 1e-6, PROBE_STEPS)
+        x, steps = self._engine.iterate(self._factor, "cg", matrix, rhs, 1e-6, PROBE_STEPS)
         return x is not None or steps == PROBE_STEPS
 
 
@@ -193,13 +209,13 @@ def conjugate_gradients(
     return None, most_steps
 
 
-def _gmres(
+def gmres(
     matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int
 ) -> tuple[np.ndarray | None, int]:
     """SciPy's generalised minimal residuals; the solution, or None where it is not reached, and the steps taken."""
     steps = []
     operator = LinearOperator(matrix.shape, matvec=precondition, dtype=float)  # pyright: ignore[reportCallIssue]
-    x, left = gmres(
+    x, left = scipy_gmres(
         *(matrix, rhs),
         **{"rtol": tolerance, "M": operator, "restart": most_steps // 3, "maxiter": 3},
         callback=steps.append,

@@ -75,13 +75,18 @@ class Frame:
         return self.space.facet_nodes(self.skin_facets)
 
     @cached_property
+    def free_nodes(self) -> np.ndarray:
+        """Nodes that are not fixed, ascending (n_free,)."""
+        return np.setdiff1d(np.arange(self.space.n_nodes), self.fixed_nodes)
+
+    @cached_property
     def _solved(self) -> dict[bool, tuple[np.ndarray, Pattern]]:
         return {}
 
     def solved(self, in_plane: bool) -> tuple[np.ndarray, Pattern]:
         """Free degrees of freedom and their pattern; ``in_plane`` leaves out the shift along the normal."""
         if in_plane not in self._solved:
-            nodes = np.setdiff1d(np.arange(self.space.n_nodes), self.fixed_nodes)
+            nodes = self.free_nodes
             components = 2 if in_plane else 3
             dofs = (3 * nodes[:, None] + np.arange(components)).ravel()
             elements = [self.space.element_nodes, self.skin_nodes]

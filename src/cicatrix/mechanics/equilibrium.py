@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
@@ -15,6 +14,7 @@ from ..core.errors import ConvergenceError
 from ..core.linear import Engine, LinearSolver
 from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body, Frame, VolumeRates
+from .pullback import Pullback
 from .space import Space
 from .supports import Supports
 
@@ -47,35 +47,34 @@ class Equilibrium:
         on: Engine | None = None,
     ) -> None:
         self.relative_tolerance, self.tell, self._on = relative_tolerance, tell, on
-        self._linear: dict[tuple[bool, bool], LinearSolver] = {}  # by symmetry, and by what a section leaves out
-        self._forgotten = np.zeros(2, int)
+        self._linear: dict[bool, LinearSolver] = {}  # by whether a section's normal is left out
 
     @property
     def factorizations(self) -> int:
         """Matrices factorised so far."""
-        return self._forgotten[0] + sum(s.n_factorizations for s in self._linear.values())
+        return sum(solver.n_factorizations for solver in self._linear.values())
 
     @property
     def krylov_steps(self) -> int:
         """Solves with a factor so far."""
-        return self._forgotten[1] + sum(s.n_steps for s in self._linear.values())
+        return sum(solver.n_steps for solver in self._linear.values())
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on besides its arguments: the factors, for ``restore``."""
         return {
-            f"{int(is_symmetric)}.{int(in_plane)}.{name}": array
-            for (is_symmetric, in_plane), solver in self._linear.items()
+            f"{int(in_plane)}.{name}": array
+            for in_plane, solver in self._linear.items()
             for name, array in solver.kept().items()
         }
 
     def restore(self, frame: Frame, kept: Mapping[str, np.ndarray]) -> None:
         """Go on, to the bit, where another solver on the same frame was."""
-        for key in product((False, True), repeat=2):
-            prefix = "{:d}.{:d}.".format(*key)
+        for in_plane in (False, True):
+            prefix = f"{int(in_plane)}."
             part = {name.removeprefix(prefix): array for name, array in kept.items() if name.startswith(prefix)}
             if part:
-                self._linear[key] = LinearSolver(symmetric=key[0], on=self._on)
-                self._linear[key].restore(frame.empty_matrix(key[1]), part)
+                self._linear[in_plane] = LinearSolver(self._on)
+                self._linear[in_plane].restore(frame.empty_matrix(in_plane), part)
 
     def loaded(
         self,
@@ -153,8 +152,8 @@ class Equilibrium:
             return problem
         J_bar = problem.body.dilation(problem.X, problem.x)
         start = problem.unknowns(problem.x)
-        matrix, _ = problem.linearised(start, J_bar)
-        followed = self._solver(problem).solve(matrix, -problem.free_part(problem.drag(way)), CLOSE)
+        tangent = problem.linearised(start, J_bar)
+        followed = tangent.solve(self._solver(problem), -problem.free_part(problem.drag(way)), CLOSE)
         return replace(problem, x=problem.positions(start + followed) + way)
 
     def _reaction(self, problem: _Problem, held_at: np.ndarray | None) -> float:
@@ -201,15 +200,7 @@ class Equilibrium:
             return self._newton(replace(problem, beside=problem.pressing).under(factor, X), report)
 
         X = ramp(advance, x, report, max_iterations=300)  # slender breasts hang far: many small steps
-        self._forget_unsymmetric()
         return X, report
-
-    def _forget_unsymmetric(self) -> None:
-        """Let the factors of the inverse problem go: they are large, and nothing else needs them."""
-        for key in [key for key in self._linear if not key[0]]:
-            solver = self._linear.pop(key)
-            self._forgotten += solver.n_factorizations, solver.n_steps
-            solver.forget()
 
     def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Newton on the unknown positions and volume ratios together, the ratios eliminated element by element.
@@ -235,23 +226,23 @@ class Equilibrium:
         kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), below, tolerance, norm)
 
         def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
-            (matrix, rates), forcing = kept.at(z, r)
-            gap = r[n:].reshape(shape) / scale
-            du = solver.solve(matrix, -(r[:n] + problem.free_part(body.volume_force(rates, gap))), forcing)
+            tangent, forcing = kept.at(z, r)
+            rates, gap = tangent.rates, r[n:].reshape(shape) / scale
+            du = tangent.solve(solver, -(r[:n] + problem.free_part(body.volume_force(rates, gap))), forcing)
             moved = (problem.positions(z[:n] + du) - problem.positions(z[:n]))[body.frame.space.element_nodes]
             dJ = np.einsum("eqm,em->eq", rates.volume_rate, moved.reshape(shape[0], -1)) + gap
             return np.concatenate([du, dJ.ravel()])
 
         z = np.concatenate([problem.unknowns(problem.x), problem.volume_ratios.ravel()])
         z = newton(residual, step, z, tolerance=tolerance, report=report, norm=norm)
-        if kept.value is not None and problem.is_symmetric and not solver.is_definite(kept.value[0]):
+        if kept.value is not None and problem.is_symmetric and not solver.is_definite(kept.value.matrix):
             raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
         _check_elements(body, *problem.shapes(z[:n]))
         return problem.positions(z[:n])
 
     def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
         """Walk down the potential energy."""
-        body, solver = problem.body, LinearSolver(symmetric=True, on=self._on)
+        body, solver = problem.body, LinearSolver(self._on)
 
         def energy(values: np.ndarray) -> float:
             return body.potential(problem.X, problem.positions(values), problem.gravity)
@@ -262,8 +253,7 @@ class Equilibrium:
         def step(values: np.ndarray, r: np.ndarray, damping: float) -> np.ndarray:
             x = problem.positions(values)
             damping *= max(np.linalg.norm(problem.gravity), 1.0)  # pyright: ignore[reportAssignmentType]
-            matrix, _ = problem.linearised(values, body.dilation(problem.X, x), damping)
-            return solver.solve(matrix, -r, CLOSE)
+            return problem.linearised(values, body.dilation(problem.X, x), damping).solve(solver, -r, CLOSE)
 
         start = problem.unknowns(problem.x)
         tolerance = self.relative_tolerance * problem.weight
@@ -275,10 +265,9 @@ class Equilibrium:
         return problem.positions(values)
 
     def _solver(self, problem: _Problem) -> LinearSolver:
-        key = (problem.is_symmetric, problem.in_plane)
-        if key not in self._linear:
-            self._linear[key] = LinearSolver(symmetric=problem.is_symmetric, on=self._on)
-        return self._linear[key]
+        if problem.in_plane not in self._linear:
+            self._linear[problem.in_plane] = LinearSolver(self._on)
+        return self._linear[problem.in_plane]
 
 
 def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
@@ -323,7 +312,8 @@ class _Kept:
         if self.value is None or not norm < self._below * self._norm:
             self.value = None
             self.value = self._linearise(z)
-        forcing = np.clip(0.9 * (norm / self._norm) ** 2, 0.1 * self._tolerance / norm, LOOSEST)
+        progress = norm / self._norm if np.isfinite(self._norm) else 1.0
+        forcing = np.clip(0.9 * progress**2, 0.1 * self._tolerance / norm, LOOSEST)
         self._norm = norm
         return self.value, float(forcing)
 
@@ -409,17 +399,50 @@ class _Problem:
         """Whether the tangent is: forces have a potential, and it is the loaded shape that is looked for."""
         return not self.inverse and self.body.pressure is None
 
-    def linearised(
-        self, values: np.ndarray, J_bar: np.ndarray, damping: float = 0.0
-    ) -> tuple[sp.bsr_array, VolumeRates]:
+    def linearised(self, values: np.ndarray, J_bar: np.ndarray, damping: float = 0.0) -> _Tangent:
         """Derivatives by the unknown shape and the volume ratios."""
         shapes, in_plane = self.shapes(values), self.in_plane
         if self.inverse:
-            matrix, elements = self.body.linearised_reference(*shapes, J_bar, self.gravity, in_plane=in_plane)
+            matrix, rates = self.body.linearised_reference(*shapes, J_bar, self.gravity, in_plane=in_plane)
+            pullback = Pullback.unloaded(self.body, *shapes)
         else:
-            matrix, elements = self.body.linearised(*shapes, J_bar, in_plane=in_plane, damping=damping)
-        return self.supports.matrix(matrix), elements
+            matrix, rates = self.body.linearised(*shapes, J_bar, in_plane=in_plane, damping=damping)
+            pullback = Pullback.loaded(self.body, shapes[1])
+
+        def near() -> sp.bsr_array:
+            """By the loaded shape, whatever is looked for, and without pressure."""
+            body = replace(self.body, pressure=None)
+            matrix, _ = body.linearised(*shapes, J_bar, in_plane=in_plane)
+            return self._pulled_back(matrix, Pullback.loaded(body, shapes[1]))
+
+        return _Tangent(self._pulled_back(matrix, pullback), rates, pullback, self, None if self.is_symmetric else near)
+
+    def _pulled_back(self, matrix: sp.bsr_array, pullback: Pullback) -> sp.bsr_array:
+        return self.supports.matrix(pullback.matrix(matrix, self.body.frame.free_nodes))
 
     def free_part(self, forces: np.ndarray) -> np.ndarray:
         """Forces (n_nodes, 3) on the unknowns, 0 where no tissue holds the node."""
         return self.supports.unknowns(np.where(self.body.active_nodes[:, None], forces, 0.0))
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """Vectors (n_nodes, 3) of what is on the unknowns, 0 along what is held."""
+        return self.supports.positions(values, np.zeros_like(self.X))
+
+
+class _Tangent(NamedTuple):
+    """First order of a problem about a shape."""
+
+    matrix: sp.bsr_array
+    """Of the pulled-back system."""
+    rates: VolumeRates
+    pullback: Pullback
+    problem: _Problem
+    near: Callable[[], sp.bsr_array] | None
+    """Makes a symmetric matrix that is near, where this one is not symmetric."""
+
+    def solve(self, solver: LinearSolver, forces: np.ndarray, tolerance: float) -> np.ndarray:
+        """Step of the unknowns that these forces on them make."""
+        problem, (ways, turned) = self.problem, (self.pullback.ways, self.pullback.forces)
+        rhs = problem.supports.unknowns((turned @ problem.spread(forces)[..., None])[..., 0])
+        found = solver.solve(self.matrix, rhs, tolerance, self.near)
+        return problem.supports.unknowns((ways @ problem.spread(found)[..., None])[..., 0])

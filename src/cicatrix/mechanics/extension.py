@@ -50,7 +50,7 @@ class Extension:
                 force, part, np.einsum("emn,en->em", stiffness, u[part].reshape(len(part), -1)).reshape(*part.shape, 3)
             )
         matrix = pattern.matrix(data, np.zeros(pattern.n_dofs))
-        u[nodes] = LinearSolver(symmetric=True).solve(matrix, -force[nodes].ravel(), ACCURACY).reshape(-1, 3)
+        u[nodes] = LinearSolver().solve(matrix, -force[nodes].ravel(), ACCURACY).reshape(-1, 3)
         return self._X + u
 
 
