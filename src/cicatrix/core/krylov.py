@@ -24,8 +24,11 @@ SYMMETRIC_OPTION = 1  # MAT_SYMMETRIC
 
 CONJUGATE_GRADIENTS = {"ksp_type": "cg", "ksp_norm_type": "unpreconditioned"}
 MINIMAL_RESIDUALS = {"ksp_type": "gmres", "ksp_gmres_restart": 20, "ksp_pc_side": "right"}
-MUMPS_LU = {"pc_type": "lu", "pc_factor_mat_solver_type": "mumps"}
-MUMPS_LDL = {**MUMPS_LU, "pc_type": "cholesky", "mat_mumps_icntl_24": 1}  # 24: tells of pivots that are zero
+MUMPS = {
+    "pc_type": "cholesky",
+    "pc_factor_mat_solver_type": "mumps",
+    "mat_mumps_icntl_24": 1,  # tells of pivots that are zero
+}
 GAMG = {
     "pc_type": "gamg",
     "pc_gamg_type": "agg",
@@ -104,7 +107,7 @@ class PetscEngine:
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> PetscSystem:  # noqa: D102
         layout = self.layout or Layout(Ranks(), np.zeros(matrix.shape[0] // matrix.blocksize[0], int))
-        options = GAMG if self.method == "gamg" and kind == Kind.DEFINITE else MUMPS_LDL
+        options = GAMG if self.method == "gamg" and kind == Kind.DEFINITE else MUMPS
         return PetscSystem(self.library, layout, kind, options, matrix)
 
     def iterate(  # noqa: D102
