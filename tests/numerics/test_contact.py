@@ -117,6 +117,16 @@ def test_a_ball_is_pushed_as_hertz_says():
     assert abs(pressed.push.sum() / hertz - 1) < 0.1
 
 
+def test_a_start_nearby_leads_to_the_same_shape():
+    """From a plate that stands 0.2 mm higher, at once."""
+    body = body_on_planes(*eighth_of_a_ball(10.0, 2), axes=(0, 1, 2))
+    X, up = body.frame.space.positions, np.array([0.0, 0.0, 1.0])
+    far, near = (Contact().pressed(body, X, NONE, [Plate(10.0 * up, -up, -d * up)]) for d in (2.0, 1.8))
+    again = Contact().pressed(body, X, NONE, [Plate(10.0 * up, -up, -2.0 * up)], near.x)
+    np.testing.assert_allclose(again.x, far.x, atol=1e-5)
+    assert again.report.iterations < far.report.iterations
+
+
 def test_what_it_cannot_do_is_said():
     body = body_on_planes(*block(1), axes=(0, 1, 2))
     X = body.frame.space.positions

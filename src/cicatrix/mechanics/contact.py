@@ -13,13 +13,17 @@ from ..core.linear import Engine, LinearSolver
 from ..core.newton import NewtonReport, ramp
 from .body import Body, Frame, VolumeRates
 
-FIRST, SMALLEST = 1 / 16, 1 / 1024  # share of the plates' way that is tried at once, and below which it is given up
-MOST_ITERATIONS = 30  # of Newton's method in one such step
+FIRST, SMALLEST = 1 / 32, 1 / 2048  # share of the plates' way that is tried at once, and below which it is given up
+MOST_ITERATIONS = 60  # of Newton's method in one such step
+EAGER = 10  # iterations in which all of them do; after these the first alone does, once forces balance to BALANCED
+BALANCED = 1e-6
+NEAR, NEARBY = 0.1, 1e-3  # of the forces, of the body's extent: what a patient solve takes for near
 MOST_IN_ALL = 1000
-WILD = 100.0  # a residual that grew so much does not come back
+WILD = 30.0  # a residual that grew so much does not come back
+CALM = 0.01  # how far from rest the volume ratio of a starting shape is believed
 CLOSE = 1e-5  # how exactly a linear system is solved, relative to its right-hand side
-ON_PLATE = 1e-9  # of the body's extent: how near a node is to a plate that it touches
-PULL = 1e-6  # of the largest force of a plate on a node: what counts as none
+ON_PLATE = 1e-7  # of the body's extent: how near a node is to a plate that it touches
+PULL = 1e-5  # of the largest force of a plate on a node: what counts as none
 ROUNDING = 1e-13  # of the forces that would move nodes by the body's extent
 
 
@@ -116,7 +120,7 @@ class Contact:
         plates : sequence of Plate
             Where they are at first. No two may be parallel at one node.
         start : (n_nodes, 3) array [mm], optional
-            A shape near the last one; tried at once with all loads.
+            A shape near the last one; tried at once with all loads, nodes that are nearly on a plate touching.
 
         Raises
         ------
@@ -131,7 +135,8 @@ class Contact:
         way = _Way(self, body, X, gravity, plates, report)
         if start is None:
             return way.result(ramp(way.advance, X, report, SMALLEST, FIRST, MOST_IN_ALL))
-        return way.result(way.advance(start, 1.0))
+        way.touching = np.stack([p.at(1.0).gap(start) < NEARBY * np.ptp(X, axis=0).max() for p in plates])
+        return way.result(way.advance(start, 1.0, patient=True))
 
     def step(self, matrix: sp.bsr_array, rhs: np.ndarray) -> np.ndarray:
         """Solve one linear system: (n,) -> (n,)."""
@@ -165,21 +170,29 @@ class _Way:
         """What is told of the last shape."""
         return Pressed(x, self.push, self.report)
 
-    def advance(self, x: np.ndarray, share: float) -> np.ndarray:
-        """Equilibrium after a share of the way, from a shape x before."""
+    def advance(self, x: np.ndarray, share: float, patient: bool = False) -> np.ndarray:
+        """Equilibrium after a share of the way, from a shape x before; ``patient``: nobody comes or goes far from balance."""
         plates, gravity = [plate.at(share) for plate in self.plates], share * self.gravity
         touching = self.touching | self._beyond(plates, x)
         state = _State(x, _calm(self.body, self.X, x))
         r, first = self.body.residual(self.X, x, gravity, state.J_bar), np.inf
         for number in range(MOST_ITERATIONS):
             held = Held(self.body.frame, plates, touching)
-            state, expected = self._newton(state, r, held, held.way([-p.gap(state.x) for p in plates]))
+            state, expected = self._newton(
+                state, r, held, held.way([-p.gap(state.x) for p in plates], self.X - state.x)
+            )
             r = self.body.residual(self.X, state.x, gravity, state.J_bar)
             push = held.push(r)
             norm, scale = float(np.linalg.norm(held.free_part(r))), float(np.hypot(self._weight, np.linalg.norm(push)))
             tolerance = self.solver.relative_tolerance * scale + self._rounding
-            before, touching = touching, self._updated(plates, state.x, touching, expected)
-            changed = int(np.count_nonzero(touching != before))
+            changes = self._changes(plates, state.x, touching, expected)
+            changed = int(np.count_nonzero(changes))
+            if number < EAGER and not patient:
+                touching = touching ^ changes
+            elif patient and number < 2 * EAGER:
+                touching = touching ^ changes if norm < NEAR * scale else touching
+            elif norm < BALANCED * scale:
+                touching = touching ^ _first(changes)
             self._count(norm, changed, touching)
             first = max(norm, scale, tolerance) if number == 0 else first
             if not norm < WILD * first:
@@ -209,9 +222,9 @@ class _Way:
     def _beyond(self, plates: list[Plate], x: np.ndarray) -> np.ndarray:
         return np.stack([(p.gap(x) < -self._reach) & self.body.active_nodes for p in plates])
 
-    def _updated(self, plates: list[Plate], x: np.ndarray, touching: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """Who touches (n_plates, n_nodes) after a step: nodes that are pushed, and those that are in a plate."""
-        return (touching & (push > -PULL * push.max(initial=0.0))) | self._beyond(plates, x)
+    def _changes(self, plates: list[Plate], x: np.ndarray, touching: np.ndarray, push: np.ndarray) -> np.ndarray:
+        """Who comes and goes (n_plates, n_nodes) after a step: nodes that are in a plate, and those that are pulled."""
+        return (touching & (push < -PULL * push.max(initial=0.0))) | (self._beyond(plates, x) & ~touching)
 
     def _is_tied(self, state: _State) -> bool:
         """Whether the volume ratios are those of the shape."""
@@ -237,10 +250,17 @@ class _State:
     J_bar: np.ndarray
 
 
+def _first(changes: np.ndarray) -> np.ndarray:
+    """The first alone; in a linear body one at a time never goes in circles (Murty 1974), many at once may."""
+    out = np.zeros_like(changes)
+    out.flat[np.argmax(changes)] = changes.any()
+    return out
+
+
 def _calm(body: Body, X: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Volume ratios to start from: those of x, but not far from rest."""
     rest = np.asarray(body.law.volume_at_rest())
-    return rest * np.clip(body.dilation(X, x) / rest, 0.99, 1.01)
+    return rest * np.clip(body.dilation(X, x) / rest, 1.0 - CALM, 1.0 + CALM)
 
 
 def _volume_change(body: Body, rates: VolumeRates, du: np.ndarray) -> np.ndarray:
@@ -266,7 +286,7 @@ class Held:
     """
 
     def __init__(self, frame: Frame, plates: Sequence[Plate], touching: np.ndarray) -> None:
-        self._free = frame.solved(False)[0]
+        self._frame, self._free = frame, frame.solved(False)[0]
         self._normals, self._touching = np.array([p.normal for p in plates], float), touching
         S = np.einsum("pn,pi,pj->nij", touching.astype(float), self._normals, self._normals)
         np.add.at(S, frame.sliding_nodes, np.einsum("ni,nj->nij", frame.sliding_normals, frame.sliding_normals))
@@ -276,9 +296,14 @@ class Held:
         self._P = np.broadcast_to(np.eye(3), S.shape).copy()
         self._P[self._nodes] -= S[self._nodes] @ self._inverse[self._nodes]
 
-    def way(self, targets: Sequence[np.ndarray]) -> np.ndarray:
-        """Displacement (n_nodes, 3) [mm] that takes touching nodes by (n_nodes,) [mm] along each plate's normal."""
+    def way(self, targets: Sequence[np.ndarray], back: np.ndarray) -> np.ndarray:
+        """Displacement (n_nodes, 3) [mm] that takes touching nodes by (n_nodes,) [mm] along each plate's normal.
+
+        The frame's sliding nodes go back (n_nodes, 3) [mm] along theirs.
+        """
         along = np.einsum("pn,pi->ni", np.where(self._touching, targets, 0.0), self._normals)
+        nodes, normals = self._frame.sliding_nodes, self._frame.sliding_normals
+        np.add.at(along, nodes, np.sum(normals * back[nodes], axis=1)[:, None] * normals)
         return np.einsum("nij,nj->ni", self._inverse, along)
 
     def push(self, r: np.ndarray) -> np.ndarray:
