@@ -58,6 +58,7 @@ template <class real> void integrate(const Model &in, const char *result) {
     for (int a = 0; a < 4; a++) place[filled[in.cells[4 * e + a]]++] = a * m + e;
 
   for (long step = 0; step < n_steps; step++) {
+#pragma GCC ivdep
     for (int e = 0; e < m; e++) {
       real F[3][3], c[3][3], g[4][3], squares = 0;
       for (int a = 0; a < 4; a++)
