@@ -413,7 +413,7 @@ def table_explicit(m: dict[str, float]) -> list[tuple[str, str, bool]]:
     return [
         (
             "the explicit solution once more in single precision is within 2 % RMS of the published one",
-            f"{100 * m['single']:.1f} %",
+            f"{100 * m['single']:.2f} %",
             m["single"] < 0.02,
         ),
         ("in double precision it is so too", f"{100 * m['double']:.0f} %", m["double"] < 0.02),
