@@ -1,0 +1,347 @@
+"""A body between rigid plates that push without friction and never pull: nodes that touch are an active set."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.sparse as sp
+
+from ..core.errors import ConvergenceError, InputError
+from ..core.linear import Engine, LinearSolver
+from ..core.newton import NewtonReport, ramp
+from .body import Body, Frame, VolumeRates
+
+FIRST, SMALLEST = 1 / 32, 1 / 2048  # share of the plates' way that is tried at once, and below which it is given up
+MOST_ITERATIONS = 60  # of Newton's method in one such step
+EAGER = 10  # iterations in which all of them do; after these the first alone does, once forces balance to BALANCED
+BALANCED = 1e-6
+NEAR, NEARBY = 0.1, 1e-3  # of the forces, of the body's extent: what a patient solve takes for near
+MOST_IN_ALL = 1000
+WILD = 30.0  # a residual that grew so much does not come back
+CALM = 0.01  # how far from rest the volume ratio of a starting shape is believed
+CLOSE = 1e-5  # how exactly a linear system is solved, relative to its right-hand side
+ON_PLATE = 1e-7  # of the body's extent: how near a node is to a plate that it touches
+PULL = 1e-5  # of the largest force of a plate on a node: what counts as none
+ROUNDING = 1e-13  # of the forces that would move nodes by the body's extent
+
+
+@dataclass(frozen=True, eq=False)
+class Plate:
+    """A rigid half-space.
+
+    Parameters
+    ----------
+    point : (3,) array [mm]
+        On its face.
+    normal : (3,) array [1]
+        Out of it, where the body is, of length 1.
+    way : (3,) array [mm]
+        How far it moves.
+    """
+
+    point: np.ndarray
+    normal: np.ndarray
+    way: np.ndarray
+
+    def at(self, share: float) -> Plate:
+        """Where it is after a share of its way."""
+        return replace(self, point=self.point + share * np.asarray(self.way), way=np.zeros(3))
+
+    def gap(self, x: np.ndarray) -> np.ndarray:
+        """Distance of points (n, 3) [mm] from its face, negative in the plate (n,) [mm]."""
+        return (x - self.point) @ self.normal
+
+
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """A body in equilibrium between plates."""
+
+    x: np.ndarray
+    """Positions (n_nodes, 3) [mm]."""
+    push: np.ndarray
+    """Force of each plate on each node along the plate's normal (n_plates, n_nodes) [mN]; 0 where they do not touch."""
+    report: NewtonReport
+
+
+class Contact:
+    """Solver for bodies on one frame between plates; it keeps a factor from step to step.
+
+    A node touches a plate or does not. What is known of this is wrong at first; after each step of Newton's method nodes
+    that the plate would have to pull are released, and those that went into it are put onto it (the primal-dual active
+    set, a semismooth Newton method: Hintermueller, Ito & Kunisch 2002), until nothing changes and forces balance. Its nodes
+    carry what a plate and the body exert on each other, so the pressure between them is known to the size of a face;
+    corners of quadratic faces carry nothing of an even pressure.
+
+    Parameters
+    ----------
+    relative_tolerance : float
+        Bound on the residual over weight and forces of the plates (Euclidean norms) [1].
+    tell : callable, optional
+        Hears a few words on each iteration.
+    on : Engine, optional
+        What the linear systems are solved on.
+    """
+
+    def __init__(
+        self,
+        relative_tolerance: float = 1e-8,
+        tell: Callable[[str], None] | None = None,
+        on: Engine | None = None,
+    ) -> None:
+        self.relative_tolerance, self.tell = relative_tolerance, tell
+        self._linear = LinearSolver(on)
+
+    @property
+    def factorizations(self) -> int:
+        """Matrices factorised so far."""
+        return self._linear.n_factorizations
+
+    def pressed(
+        self,
+        body: Body,
+        X: np.ndarray,
+        gravity: np.ndarray,
+        plates: Sequence[Plate],
+        start: np.ndarray | None = None,
+    ) -> Pressed:
+        """Move plates all their way into a body, gravity growing with it.
+
+        Parameters
+        ----------
+        body : Body
+            Tissue and skin, without pressure; fixed and sliding nodes of its frame stay held. What is left to the plates to
+            hold they must hold from the first step on.
+        X : (n_nodes, 3) array [mm]
+            Unloaded positions.
+        gravity : (3,) array [mm/s^2]
+            In the end.
+        plates : sequence of Plate
+            Where they are at first. No two may be parallel at one node.
+        start : (n_nodes, 3) array [mm], optional
+            A shape near the last one; tried at once with all loads, nodes that are nearly on a plate touching.
+
+        Raises
+        ------
+        InputError
+            Where pressure acts, or ranks share the body.
+        ConvergenceError
+            With everything that was tried.
+        """
+        if body.pressure is not None or body.frame.ranks.size > 1:
+            raise InputError("plates press bodies in one process that bear no pressure")
+        report = NewtonReport(tell=self.tell)
+        way = _Way(self, body, X, gravity, plates, report)
+        if start is None:
+            return way.result(ramp(way.advance, X, report, SMALLEST, FIRST, MOST_IN_ALL))
+        way.touching = np.stack([p.at(1.0).gap(start) < NEARBY * np.ptp(X, axis=0).max() for p in plates])
+        return way.result(way.advance(start, 1.0, patient=True))
+
+    def step(self, matrix: sp.bsr_array, rhs: np.ndarray) -> np.ndarray:
+        """Solve one linear system: (n,) -> (n,)."""
+        try:
+            return self._linear.solve(matrix, rhs, CLOSE)
+        except FloatingPointError as error:
+            raise ConvergenceError(str(error), [f"singular tangent ({error})"]) from error
+
+
+class _Way:
+    """From the unloaded shape to the pressed one; remembers who touches."""
+
+    def __init__(
+        self,
+        solver: Contact,
+        body: Body,
+        X: np.ndarray,
+        gravity: np.ndarray,
+        plates: Sequence[Plate],
+        report: NewtonReport,
+    ) -> None:
+        self.solver, self.body, self.X, self.gravity, self.report = solver, body, X, gravity, report
+        self.plates = list(plates)
+        self.touching = np.zeros((len(self.plates), len(X)), bool)
+        self.push = np.zeros(self.touching.shape)
+        self._weight = float(np.linalg.norm(body.lumped_mass(X)) * np.linalg.norm(gravity))
+        self._rounding = 0.0
+        self._reach = ON_PLATE * float(np.ptp(X, axis=0).max())
+
+    def result(self, x: np.ndarray) -> Pressed:
+        """What is told of the last shape."""
+        return Pressed(x, self.push, self.report)
+
+    def advance(self, x: np.ndarray, share: float, patient: bool = False) -> np.ndarray:
+        """Equilibrium after a share of the way, from a shape x before; ``patient``: nobody comes or goes far from balance."""
+        plates, gravity = [plate.at(share) for plate in self.plates], share * self.gravity
+        touching = self.touching | self._beyond(plates, x)
+        state = _State(x, _calm(self.body, self.X, x))
+        r, first = self.body.residual(self.X, x, gravity, state.J_bar), np.inf
+        for number in range(MOST_ITERATIONS):
+            held = Held(self.body.frame, plates, touching)
+            state, expected = self._newton(
+                state, r, held, held.way([-p.gap(state.x) for p in plates], self.X - state.x)
+            )
+            r = self.body.residual(self.X, state.x, gravity, state.J_bar)
+            push = held.push(r)
+            norm, scale = float(np.linalg.norm(held.free_part(r))), float(np.hypot(self._weight, np.linalg.norm(push)))
+            tolerance = self.solver.relative_tolerance * scale + self._rounding
+            changes = self._changes(plates, state.x, touching, expected)
+            changed = int(np.count_nonzero(changes))
+            if number < EAGER and not patient:
+                touching = touching ^ changes
+            elif patient and number < 2 * EAGER:
+                touching = touching ^ changes if norm < NEAR * scale else touching
+            elif norm < BALANCED * scale:
+                touching = touching ^ _first(changes)
+            self._count(norm, changed, touching)
+            first = max(norm, scale, tolerance) if number == 0 else first
+            if not norm < WILD * first:
+                break
+            if not changed and norm <= tolerance and self._is_tied(state):
+                self._accept(state.x, touching, push)
+                return state.x
+        line = f"no balance after {number + 1} iterations, residual {norm:.1e} mN, {changed} nodes came or went in the last"
+        raise ConvergenceError("Newton's method between plates did not converge.", [line])
+
+    def _newton(self, state: _State, r: np.ndarray, held: Held, way: np.ndarray) -> tuple[_State, np.ndarray]:
+        """One step from a state with the residual r (n_nodes, 3), held nodes going their way (n_nodes, 3) [mm].
+
+        Returns the next state, and to first order what plates push there (n_plates, n_nodes) [mN].
+        """
+        body = self.body
+        gap = body.dilation(self.X, state.x) - state.J_bar
+        matrix, rates = body.linearised(self.X, state.x, state.J_bar, in_plane=False)
+        self._rounding = ROUNDING / ON_PLATE * self._reach * float(np.linalg.norm(matrix.diagonal()))
+        pull = r + body.volume_force(rates, gap)
+        rhs = held.on_free(pull) + matrix @ held.on_free(way)
+        followed = self.solver.step(held.matrix(matrix), -held.project(rhs))
+        expected = held.push(held.from_free(rhs + matrix @ followed))
+        du = held.from_free(followed) + way
+        return _State(state.x + du, state.J_bar + gap + _volume_change(body, rates, du)), expected
+
+    def _beyond(self, plates: list[Plate], x: np.ndarray) -> np.ndarray:
+        return np.stack([(p.gap(x) < -self._reach) & self.body.active_nodes for p in plates])
+
+    def _changes(self, plates: list[Plate], x: np.ndarray, touching: np.ndarray, push: np.ndarray) -> np.ndarray:
+        """Who comes and goes (n_plates, n_nodes) after a step: nodes that are in a plate, and those that are pulled."""
+        return (touching & (push < -PULL * push.max(initial=0.0))) | (self._beyond(plates, x) & ~touching)
+
+    def _is_tied(self, state: _State) -> bool:
+        """Whether the volume ratios are those of the shape."""
+        return bool(np.abs(self.body.dilation(self.X, state.x) - state.J_bar).max() < 1e-8)
+
+    def _count(self, norm: float, changed: int, touching: np.ndarray) -> None:
+        self.report.count(norm)
+        if self.solver.tell is not None:
+            self.solver.tell(f"{np.count_nonzero(touching)} nodes touch, {changed} came or went")
+
+    def _accept(self, x: np.ndarray, touching: np.ndarray, push: np.ndarray) -> None:
+        turned = self.body.inside_out(self.X, x)
+        if len(turned):
+            raise ConvergenceError("Elements turn inside out.", [f"{len(turned)} elements inside out"])
+        self.touching, self.push = touching, push
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Positions (n_nodes, 3) [mm] and volume ratios (n_elements, n_qp) [1], which are free of them until the end."""
+
+    x: np.ndarray
+    J_bar: np.ndarray
+
+
+def _first(changes: np.ndarray) -> np.ndarray:
+    """The first alone; in a linear body one at a time never goes in circles (Murty 1974), many at once may."""
+    out = np.zeros_like(changes)
+    out.flat[np.argmax(changes)] = changes.any()
+    return out
+
+
+def _calm(body: Body, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Volume ratios to start from: those of x, but not far from rest."""
+    rest = np.asarray(body.law.volume_at_rest())
+    return rest * np.clip(body.dilation(X, x) / rest, 1.0 - CALM, 1.0 + CALM)
+
+
+def _volume_change(body: Body, rates: VolumeRates, du: np.ndarray) -> np.ndarray:
+    moved = du[body.frame.space.element_nodes].reshape(len(rates.volume_rate), -1)
+    return np.einsum("eqm,em->eq", rates.volume_rate, moved)
+
+
+class Held:
+    r"""What holds nodes now: those of the frame that slide, and those that touch.
+
+    With the normals n of all that holds a node, :math:`S = \sum n n^T` and its pseudo-inverse, :math:`I - S S^+` projects on
+    what is free there, and :math:`n \cdot S^+ r` is the share of a force r that acts along n. The matrix of what is left to
+    solve, :math:`P K P + c (I - P)`, has the same pattern whoever touches.
+
+    Parameters
+    ----------
+    frame : Frame
+        Fixed nodes are left out, sliding ones held along their directions.
+    plates : list of Plate
+        Where they are now.
+    touching : (n_plates, n_nodes) bool array
+        Who is held by them.
+    """
+
+    def __init__(self, frame: Frame, plates: Sequence[Plate], touching: np.ndarray) -> None:
+        self._frame, self._free = frame, frame.solved(False)[0]
+        self._normals, self._touching = np.array([p.normal for p in plates], float), touching
+        S = np.einsum("pn,pi,pj->nij", touching.astype(float), self._normals, self._normals)
+        np.add.at(S, frame.sliding_nodes, np.einsum("ni,nj->nij", frame.sliding_normals, frame.sliding_normals))
+        self._nodes = np.flatnonzero(S.any(axis=(1, 2)))
+        self._inverse = np.zeros_like(S)
+        self._inverse[self._nodes] = np.linalg.pinv(S[self._nodes], rcond=1e-6, hermitian=True)
+        self._P = np.broadcast_to(np.eye(3), S.shape).copy()
+        self._P[self._nodes] -= S[self._nodes] @ self._inverse[self._nodes]
+
+    def way(self, targets: Sequence[np.ndarray], back: np.ndarray) -> np.ndarray:
+        """Displacement (n_nodes, 3) [mm] that takes touching nodes by (n_nodes,) [mm] along each plate's normal.
+
+        The frame's sliding nodes go back (n_nodes, 3) [mm] along theirs.
+        """
+        along = np.einsum("pn,pi->ni", np.where(self._touching, targets, 0.0), self._normals)
+        nodes, normals = self._frame.sliding_nodes, self._frame.sliding_normals
+        np.add.at(along, nodes, np.sum(normals * back[nodes], axis=1)[:, None] * normals)
+        return np.einsum("nij,nj->ni", self._inverse, along)
+
+    def push(self, r: np.ndarray) -> np.ndarray:
+        """Share of forces (n_nodes, 3) [mN] that acts along the plates' normals at touching nodes (n_plates, n_nodes) [mN]."""
+        return np.where(self._touching, np.einsum("pi,nij,nj->pn", self._normals, self._inverse, r), 0.0)
+
+    def free_part(self, r: np.ndarray) -> np.ndarray:
+        """What nothing holds of forces (n_nodes, 3) -> (n_free,)."""
+        return self.project(self.on_free(r))
+
+    def on_free(self, vectors: np.ndarray) -> np.ndarray:
+        """(n_nodes, 3) -> (n_free,), nodes that are not fixed."""
+        return vectors.reshape(-1)[self._free]
+
+    def from_free(self, values: np.ndarray) -> np.ndarray:
+        """(n_free,) -> (n_nodes, 3), 0 at fixed nodes."""
+        out = np.zeros(self._P.shape[:2])
+        out.reshape(-1)[self._free] = values
+        return out
+
+    def project(self, values: np.ndarray) -> np.ndarray:
+        """(n_free,) -> (n_free,), 0 along what is held."""
+        return np.einsum("nij,nj->ni", self._P[self._solved], values.reshape(-1, 3)).reshape(-1)
+
+    def matrix(self, matrix: sp.bsr_array) -> sp.bsr_array:
+        """P K P + c (I - P) of K (n_free, n_free), c its mean diagonal."""
+        rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
+        P, data = self._P[self._solved], matrix.data.copy()
+        is_held = np.zeros(len(self._P), bool)
+        is_held[self._nodes] = True
+        is_held = is_held[self._solved]
+        at = np.flatnonzero(is_held[rows] | is_held[matrix.indices])
+        data[at] = P[rows[at]] @ data[at] @ P[matrix.indices[at]]
+        on = np.flatnonzero((rows == matrix.indices) & is_held[rows])
+        data[on] += matrix.diagonal().mean() * (np.eye(3) - P[rows[on]])
+        return sp.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
+
+    @property
+    def _solved(self) -> np.ndarray:
+        """Nodes that are not fixed."""
+        return self._free[::3] // 3
