@@ -17,6 +17,7 @@ namespace nb = nanobind;
 namespace {
 
 using Data = nb::ndarray<double, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
+using Numbers = nb::ndarray<const int32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Slots = nb::ndarray<const int32_t, nb::ndim<3>, nb::c_contig, nb::device::cpu>;
 template <int N>
 using Array = nb::ndarray<const double, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
@@ -99,6 +100,31 @@ FASTEST void contract_section(double* data, const int32_t* slots, const double* 
     contract_all<7, 2>(data, slots, slopes, A, columns, rows, n, n_points, n_outer, b);
 }
 
+// block (i, j) of a matrix in compressed rows: left_i block right_j
+template <size_t B>
+INLINE void turn_all(double* data, const int32_t* starts, const int32_t* columns, const double* left, const double* right,
+                     size_t n) {
+    for (size_t i = 0; i < n; ++i) {
+        const double* L = left + i * B * B;
+        for (int32_t k = starts[i]; k < starts[i + 1]; ++k) {
+            double* block = data + static_cast<size_t>(k) * B * B;
+            const double* R = right + static_cast<size_t>(columns[k]) * B * B;
+            double half[B][B];
+            for (size_t r = 0; r < B; ++r)
+                for (size_t c = 0; c < B; ++c) {
+                    half[r][c] = L[r * B] * block[c];
+                    for (size_t m = 1; m < B; ++m) half[r][c] += L[r * B + m] * block[m * B + c];
+                }
+            for (size_t r = 0; r < B; ++r)
+                for (size_t c = 0; c < B; ++c) {
+                    double sum = half[r][0] * R[c];
+                    for (size_t m = 1; m < B; ++m) sum += half[r][m] * R[m * B + c];
+                    block[r * B + c] = sum;
+                }
+        }
+    }
+}
+
 void check(const Data& data, const Slots& slots) {
     const size_t b = data.shape(1);
     if (data.shape(2) != b || b < 2 || b > 3) throw nb::value_error("data must be (n_blocks, b, b) with b = 2 or 3");
@@ -132,6 +158,22 @@ void add_contracted(Data data, Slots slots, Array<4> slopes, Array<6> A, Array<3
                                                   rows.data(), n, q, o, data.shape(1));
 }
 
+void turn_blocks(Data data, Numbers starts, Numbers columns, Array<3> left, Array<3> right) {
+    const size_t b = data.shape(1), n = left.shape(0);
+    if (data.shape(2) != b || b < 1 || b > 3) throw nb::value_error("data must be (n_blocks, b, b) with b = 1, 2 or 3");
+    for (const Array<3>* side : {&left, &right})
+        if (side->shape(0) != n || side->shape(1) != b || side->shape(2) != b)
+            throw nb::value_error("left and right must be (n, b, b), b as of the data");
+    if (starts.size() != n + 1 || columns.size() != data.shape(0) || starts.data()[0] != 0 ||
+        starts.data()[n] != static_cast<int64_t>(columns.size()) || !std::is_sorted(starts.data(), starts.data() + n + 1))
+        throw nb::value_error("rows must begin at ascending places from 0 to the number of blocks");
+    for (size_t k = 0; k < columns.size(); ++k)
+        if (columns.data()[k] < 0 || static_cast<size_t>(columns.data()[k]) >= n) throw nb::value_error("a column lies beyond the matrix");
+    nb::gil_scoped_release release;
+    (b == 3 ? turn_all<3> : b == 2 ? turn_all<2> : turn_all<1>)(data.data(), starts.data(), columns.data(), left.data(),
+                                                                right.data(), n);
+}
+
 }  // namespace
 
 void bind_scatter(nb::module_& m) {
@@ -139,4 +181,6 @@ void bind_scatter(nb::module_& m) {
           "Add element matrices to the blocks of a sparse matrix; the twin core/scatter.py tells the arguments.");
     m.def("add_contracted", &add_contracted, nb::arg("data"), nb::arg("slots"), nb::arg("slopes"), nb::arg("A"),
           nb::arg("columns"), nb::arg("rows"), "Contract element matrices and add them; the twin core/scatter.py tells the arguments.");
+    m.def("turn_blocks", &turn_blocks, nb::arg("data"), nb::arg("starts"), nb::arg("columns"), nb::arg("left"), nb::arg("right"),
+          "Multiply blocks from both sides; the twin core/scatter.py tells the arguments.");
 }

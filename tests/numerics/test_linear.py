@@ -1,12 +1,15 @@
 """Linear solves against dense ones: every kind of matrix, a factor that is kept, and what makes it give way."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import scipy.sparse as sp
+from scipy.linalg import block_diag
 
 from cicatrix.core import factors, scatter
 from cicatrix.core.linear import LinearSolver, conjugate_gradients
-from cicatrix.core.native import add_blocks, add_contracted
+from cicatrix.core.native import add_blocks, add_contracted, turn_blocks
 from cicatrix.mechanics.pattern import Pattern
 
 N_NODES = 40
@@ -78,6 +81,23 @@ def test_compiled_contraction_is_its_twin(a, d, b):
     add_contracted(fast, slots, slopes, A, columns, rows)
     scatter.add_contracted(slow, slots, slopes, A, columns, rows)
     np.testing.assert_allclose(fast, slow, rtol=0, atol=1e-12 * np.abs(slow).max())
+
+
+@pytest.mark.parametrize("b", [1, 2, 3])
+def test_blocks_are_multiplied_from_both_sides(b):
+    """Kernel and twin against dense matrices, R K L with block-diagonal R and L."""
+    rng = np.random.default_rng(4)
+    matrix = sp.random_array((12, 12), density=0.3, rng=rng).tocsr()
+    data = rng.standard_normal((matrix.nnz, b, b))
+    left, right = rng.standard_normal((2, 12, b, b))
+    K = sp.bsr_array((data, matrix.indices, matrix.indptr), shape=(12 * b, 12 * b)).toarray()
+    expected = block_diag(*left) @ K @ block_diag(*right)
+    places = matrix.indptr.astype(np.int32), matrix.indices.astype(np.int32)
+    for turn in (turn_blocks, partial(scatter.turn_blocks, chunk=7)):
+        turned = data.copy()
+        turn(turned, *places, left, right)
+        found = sp.bsr_array((turned, matrix.indices, matrix.indptr), shape=K.shape).toarray()
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
 
 
 @pytest.mark.parametrize(

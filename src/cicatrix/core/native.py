@@ -2,7 +2,7 @@
 
 The kernel is taken where the compiled module is there, unless the environment variable ``CICATRIX_NATIVE`` is ``0``
 when this module is first imported. Kernel and twin give the same bits, so the choice changes the time only; but for
-``add_contracted``, which sums in another order.
+``add_contracted`` and ``turn_blocks``, which sum in another order.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ is_native = _kernels is not None
 philox4x32 = _kernels.philox4x32 if _kernels is not None else philox.philox4x32
 add_blocks = _kernels.add_blocks if _kernels is not None else scatter.add_blocks
 add_contracted = _kernels.add_contracted if _kernels is not None else scatter.add_contracted
+turn_blocks = _kernels.turn_blocks if _kernels is not None else scatter.turn_blocks
 
 
 class _NoFaultError(Exception):

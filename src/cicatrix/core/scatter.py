@@ -24,6 +24,28 @@ def add_blocks(data: np.ndarray, slots: np.ndarray, matrices: np.ndarray) -> Non
     np.add.at(data, slots[kept], blocks[kept])
 
 
+def turn_blocks(
+    data: np.ndarray, starts: np.ndarray, columns: np.ndarray, left: np.ndarray, right: np.ndarray, chunk: int = 65536
+) -> None:
+    """Multiply the blocks of a sparse matrix from both sides: block (i, j) becomes left_i block right_j.
+
+    Parameters
+    ----------
+    data : (n_blocks, b, b) array
+        Changed in place.
+    starts, columns : (n + 1,), (n_blocks,) int32 arrays
+        Where each row begins, and the column of each block.
+    left, right : (n, b, b) arrays
+        Factors of rows and columns.
+    chunk : int
+        Blocks that are turned at a time.
+    """
+    rows = np.repeat(np.arange(len(left)), np.diff(starts))
+    for first in range(0, len(rows), chunk):
+        part = slice(first, first + chunk)
+        data[part] = left[rows[part]] @ data[part] @ right[columns[part]]
+
+
 def contracted(slopes: np.ndarray, A: np.ndarray, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
     """Element matrices (n, 3 a, 3 a): the sum over points of B A B, and of columns times rows.
 

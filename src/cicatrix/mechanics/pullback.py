@@ -13,12 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.sparse as sp
 
+from ..core.native import turn_blocks
 from .body import Body
 from .elements import NORMAL
 from .space import Space
 
 BELIEVED = (0.3, 3.0)  # volume ratio about a node within which its deformation is carried along
-CHUNK = 65536  # blocks that are turned at a time
 
 
 def nodal_deformation(body: Body, X: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -78,8 +78,5 @@ class Pullback:
         """Turn the blocks of a matrix whose rows are those of ``nodes`` (n_free,); in place."""
         b = matrix.blocksize[0]
         left, right = (np.ascontiguousarray(part[nodes, :b, :b]) for part in (self.forces, self.ways))
-        rows = np.repeat(np.arange(len(nodes)), np.diff(matrix.indptr))
-        for first in range(0, len(rows), CHUNK):
-            part = slice(first, first + CHUNK)
-            matrix.data[part] = left[rows[part]] @ matrix.data[part] @ right[matrix.indices[part]]
+        turn_blocks(matrix.data, matrix.indptr, matrix.indices, left, right)
         return matrix
