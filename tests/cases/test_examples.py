@@ -9,8 +9,7 @@ import cicatrix
 from cicatrix.core.errors import InputError
 from cicatrix.io.paths import data_folder
 
-ALL = sorted((Path(__file__).parents[2] / "examples").glob("lumpectomy-*.toml"))
-EXAMPLES = [path for path in ALL if not path.stem.endswith("-3d")]  # whole breasts: not run to closure yet
+EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("lumpectomy-*.toml"))
 
 
 @pytest.fixture(scope="module")
@@ -19,11 +18,6 @@ def data():
         return data_folder()
     except InputError as error:
         pytest.skip(f"the image data {error}")
-
-
-@pytest.mark.parametrize("path", [path for path in ALL if path not in EXAMPLES], ids=lambda path: path.stem)
-def test_a_whole_breast_is_a_case(path, data):
-    assert cicatrix.load_case(path).kind == "lumpectomy"
 
 
 @pytest.mark.slow
@@ -36,5 +30,6 @@ def test_the_wound_closes_on_a_real_image(path, data, tmp_path):
         overrides = [f'image.path="{tmp_path / "series"}"']
     results = cicatrix.simulate(cicatrix.load_case(path, overrides), out=tmp_path / "run")
     assert results.history["closed_fraction"][-1] == 1.0
-    assert 40 < results.outcome["time_to_closure_days"].value < 100
+    most = 150 if path.stem.endswith("-3d") else 100  # tissue laid down loaded gives no feedback
+    assert 40 < results.outcome["time_to_closure_days"].value < most
     assert (results.history["newton_iterations"][1:] < 10).all()
