@@ -15,8 +15,11 @@ from cicatrix.core.errors import InputError
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.volume import Volume
 from cicatrix.io.images import write_volume
+from cicatrix.io.lumpectomy_run import anatomy_of
 from cicatrix.io.progress import Progress
 from cicatrix.io.results import read_results
+from cicatrix.study import plans
+from cicatrix.study.lumpectomy import plan
 
 CASE = """
 kind = "lumpectomy"
@@ -139,6 +142,24 @@ def test_fields_and_pictures_are_there(folders):
         assert (run / "figures" / f"{name}.png").stat().st_size > 20_000
     notes = json.loads((run / "manifest.json").read_text())["notes"]
     assert any("tetrahedra, least angle" in note for note in notes)
+
+
+@pytest.mark.parametrize(
+    ("at", "words"),
+    [((0, -40, 0), r"it lies (9|10)\."), ((22, -22, 0), None)],
+    ids=["off the skin", "beside the foremost point"],
+)
+def test_a_nipple_can_be_given(tmp_path, at, words, monkeypatch):
+    """The skin's nearest node; off the skin it is refused before anything is solved."""
+    monkeypatch.setattr(plans, "FARTHEST_NIPPLE_MM", 5.0)
+    case = case_in(tmp_path, half_ball(), f"outcome.nipple_mm={list(at)}")
+    anatomy, _ = anatomy_of(case)
+    if words:
+        with pytest.raises(InputError, match=words):
+            plan(case, anatomy)
+    else:
+        planned = plan(case, anatomy)
+        np.testing.assert_allclose(planned.x_imaged[planned.nipple], (21.2, -21.2, 0), atol=4)
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ from cicatrix.geometry.labels import TISSUES, Label
 from cicatrix.geometry.meshing import label_borders, mesh_section
 from cicatrix.geometry.section import Section
 from cicatrix.geometry.volume import Volume
-from cicatrix.study.case import Image, LumpectomyCase, Mesh, Resection
+from cicatrix.study.case import Image, LumpectomyCase, Mesh, Outcome, Resection
 from cicatrix.study.lumpectomy import plan
 
 RADIUS, CAVITY, CENTRE = 20.0, 8.0, np.array([0.0, -10.0])
@@ -91,9 +91,10 @@ def test_an_empty_section_is_refused():
         mesh_section(lambda p: np.ones(len(p)), None, *box, edge_mm=5.0, cavity_edge_mm=1.5)
 
 
-def case_of(slice_mm=None, **resection):
+def case_of(slice_mm=None, nipple_mm=None, **resection):
     return LumpectomyCase(
         image=Image(labels="not-read.nii", slice_mm=slice_mm),
+        outcome=Outcome(nipple_mm=nipple_mm),
         resection=Resection(**resection),
         mesh=Mesh(edge_mm=8.0, cavity_edge_mm=4.0),
     )
@@ -106,6 +107,7 @@ def case_of(slice_mm=None, **resection):
         ({}, case_of(centre_mm=(0.0, -29.0, 0.0), radius_mm=5.0), "at least 3 mm inside the breast"),
         ({}, case_of(radius_mm=28.0), "resection.radius_mm must be smaller than the breast"),
         ({}, case_of(slice_mm=4.0, centre_mm=(0.0, -13.0, -2.0), radius_mm=5.0), "does not cut the cavity"),
+        ({}, case_of(radius_mm=5.0, nipple_mm=(0.0, -50.0, 0.0)), r"outcome.nipple_mm .* it lies 20\.\d mm from it"),
         ({"tumour": False}, case_of(radius_mm=5.0), "resection.centre_mm is missing and the labels hold no tumour"),
     ],
 )
@@ -135,6 +137,13 @@ def test_the_plan_of_a_half_disc(half_disc):
     assert X[planned.outline[planned.nipple], 1] == pytest.approx(-30.0, abs=1.0)
     assert abs(X[planned.outline[planned.nipple], 0]) < 4.0
     assert len(set(planned.outline.tolist())) == len(planned.outline)
+
+
+def test_a_nipple_that_is_given_is_the_nearest_point_of_the_skin(half_disc):
+    """At 45 degrees beside the foremost point; 3 mm in front of the skin and off the section."""
+    planned = plan(case_of(radius_mm=7.0, nipple_mm=(23.3, -23.3, 2.0)), half_disc())
+    X = planned.x_imaged[planned.outline[planned.nipple], :2]
+    np.testing.assert_allclose(X, [21.2, -21.2], atol=2.5)  # points lie 4 mm apart
 
 
 def test_skin_weighs_and_bears_no_load_in_the_bulk(half_disc):

@@ -206,6 +206,7 @@ class Outcome(Table):
 
     positions: tuple[Position, ...] = ("upright", "supine")
     visits_weeks: Ascending = (2.0, 6.0, 10.0, 26.0)
+    nipple_mm: Vector | None = None  # in the image, LPS; the foremost point of the skin unless given
 
     @model_validator(mode="after")
     def _reports_something(self) -> Outcome:

@@ -27,10 +27,12 @@ def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
     Raises
     ------
     InputError
-        If there is no breast, no chest wall, the resection does not lie inside it, or its lattice would be too large.
+        If there is no breast, no chest wall, the resection does not lie inside it, its lattice would be too large, or the
+        nipple lies off the skin.
     """
     planned = plan_section(case, anatomy) if case.dimension == 2 else plan_solid(case, anatomy)
     _lattice(case, planned, planned.x_imaged)  # before hours are spent on what would not fit
+    _ = planned.nipple  # which may lie nowhere
     return planned
 
 

@@ -22,6 +22,7 @@ from .case import Tissue as TissueTable
 
 # which way is down, as LPS components, for each position of the patient
 DOWN = {"upright": (0.0, 0.0, -1.0), "prone": (0.0, -1.0, 0.0), "supine": (0.0, 1.0, 0.0)}
+FARTHEST_NIPPLE_MM = 15.0  # from the skin of the mesh, or of the section
 LEAST_SKIN_FLAP_MM = 3.0  # the cavity stays this far below the skin and off the chest wall
 
 
@@ -59,6 +60,8 @@ class Plan(ABC):
         Centre of the resection, LPS.
     radius_mm : float
         Its radius (in the section).
+    nipple_mm : (3,) array [mm], optional
+        Where the nipple is in the image, LPS, if the case says so.
     notes : tuple of str
         What there is to tell about the mesh.
     """
@@ -69,6 +72,7 @@ class Plan(ABC):
     cavity: np.ndarray
     centre_mm: np.ndarray
     radius_mm: float
+    nipple_mm: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
     @property
@@ -79,6 +83,28 @@ class Plan(ABC):
     def gravity(self, position: str) -> np.ndarray:
         """Gravity in the body's axes (3,) [mm/s^2]."""
         return self.from_patient(np.array(DOWN[position])) * acceleration_mm_s2(STANDARD_GRAVITY_M_S2)
+
+    @property
+    @abstractmethod
+    def nipple(self) -> int:
+        """Number of the skin's point that is taken for the nipple (``nipple_among``)."""
+
+    def nipple_among(self, skin_mm: np.ndarray) -> int:
+        """Row of the skin's points (n, 3) LPS [mm], as imaged, that is nearest to the nipple; the foremost if it is not given.
+
+        Raises
+        ------
+        InputError
+            If none is near.
+        """
+        if self.nipple_mm is None:
+            return int(np.argmin(skin_mm[:, 1]))
+        away = np.linalg.norm(skin_mm - self.nipple_mm, axis=1)
+        if away.min() > FARTHEST_NIPPLE_MM:
+            raise InputError(
+                f"outcome.nipple_mm must lie on the skin of the body that is meshed; it lies {away.min():.1f} mm from it."
+            )
+        return int(np.argmin(away))
 
     @abstractmethod
     def from_patient(self, vectors: np.ndarray) -> np.ndarray:
@@ -133,6 +159,11 @@ def check_flap(depth_mm: float) -> None:
             f"resection.centre_mm must lie at least {LEAST_SKIN_FLAP_MM:g} mm inside the breast; "
             f"it lies {depth_mm:.1f} mm inside."
         )
+
+
+def nipple_of(case: LumpectomyCase) -> np.ndarray | None:
+    """Where the case says that the nipple is (3,) LPS [mm]."""
+    return None if case.outcome.nipple_mm is None else np.asarray(case.outcome.nipple_mm, float)
 
 
 def scar_of(case: LumpectomyCase) -> Tissue:

@@ -27,6 +27,7 @@ from .plans import (
     Plan,
     check_flap,
     intact_body,
+    nipple_of,
     quadrature_points,
     resection_of,
     scar_of,
@@ -95,9 +96,10 @@ class SectionPlan(Plan):
 
     @cached_property
     def nipple(self) -> int:
-        """Row of ``outline`` of the most anterior point of the skin, where the nipple is taken to be."""
-        anterior = -self.section.to_patient(self.x_imaged[self.outline, :2])[:, 1]
-        return int(np.argmax(np.where(self.on_skin, anterior, -np.inf)))
+        """Row of ``outline`` that is taken for the nipple."""
+        rows = np.flatnonzero(self.on_skin)
+        skin = self.x_imaged[self.outline[rows], :2]
+        return int(rows[self.nipple_among(self.section.to_patient(skin))])
 
 
 def plan_section(case: LumpectomyCase, anatomy: Anatomy) -> SectionPlan:
@@ -203,6 +205,7 @@ def _filled(
         cavity=np.isin(np.arange(mesh.nelements), mesh.subdomains["cavity"]),
         centre_mm=centre,
         radius_mm=radius,
+        nipple_mm=nipple_of(case),
         section=section,
         mesh=mesh,
     )

@@ -28,6 +28,7 @@ from .plans import (
     Plan,
     check_flap,
     intact_body,
+    nipple_of,
     quadrature_points,
     resection_of,
     scar_of,
@@ -75,9 +76,9 @@ class SolidPlan(Plan):
 
     @cached_property
     def nipple(self) -> int:
-        """Node that is the most anterior of the skin, where the nipple is taken to be."""
+        """Node that is taken for the nipple."""
         skin = np.unique(self.triangles[self.on_skin])
-        return int(skin[np.argmin(self.x_imaged[skin, 1])])
+        return int(skin[self.nipple_among(self.x_imaged[skin])])
 
     def from_patient(self, vectors: np.ndarray) -> np.ndarray:
         """LPS components: they are the solid's own."""
@@ -207,6 +208,7 @@ def _filled(
         cavity=cavity,
         centre_mm=centre,
         radius_mm=radius,
+        nipple_mm=nipple_of(case),
         corners=corners,
         border=border,
         notes=notes,
