@@ -49,3 +49,11 @@ def test_displacements_are_those_of_calculix(nu, tmp_path):
     expected = by_calculix(tmp_path, calculix_deck(body, GRAVITY), len(X))
     assert np.abs(expected).max() > 10.0
     np.testing.assert_allclose(x - X, expected, rtol=0, atol=1e-6 * np.abs(expected).max())
+
+
+def test_an_answer_under_part_of_the_load_is_none():
+    """CalculiX prints what it reached, and stops without a word in that file when it gets no further."""
+    part = " displacements (vx,vy,vz) for set ALL and time  0.2500000E+00\n\n 1 1.0 2.0 3.0\n 2 0.0 0.0 4.0\n"
+    whole = part + part.replace("0.2500000E+00", "0.1000000E+01").replace("4.0", "5.0")
+    assert calculix_displacements(part, 2).shape == calculix_displacements("", 2).shape == (0, 3)
+    np.testing.assert_array_equal(calculix_displacements(whole, 2), [[1, 2, 3], [0, 0, 5]])

@@ -82,7 +82,7 @@ def _size(size: str, edge_mm: float, folder: Path) -> Iterator[Measurement]:
     peer = calculix_displacements((folder / "body.dat").read_text(), len(found["u"]))
     cpu = usage.ru_utime + usage.ru_stime
     if len(peer) < len(found["u"]):
-        yield Measurement(f"{size}: CalculiX", cpu, "s", f"CPU, then stopped unfinished after {seconds:.0f} s")
+        yield Measurement(f"{size}: CalculiX", cpu, "s", f"CPU, {seconds:.0f} s, and not through to the whole load")
         return
     ratio = cpu / float(found["first solve.value"])
     yield Measurement(f"{size}: CalculiX", cpu, "s", f"CPU; {ratio:.1f} times ours, {usage.ru_maxrss * 1e-6:.2f} GB")

@@ -38,8 +38,14 @@ def calculix_deck(body: Body, gravity: np.ndarray) -> str:
     return "\n".join([*lines, "*NODE PRINT, NSET=ALL", "U", "*END STEP", ""])
 
 
+HEADING = "for set ALL and time"  # then the share of the load, and a row for each node
+
+
 def calculix_displacements(text: str, n_nodes: int) -> np.ndarray:
-    """Displacements (n_nodes, 3) [mm] of the last step that CalculiX printed; fewer rows where it did not finish."""
-    rows = [line.split() for line in text.splitlines()]
-    numbers = [[float(value) for value in row[1:]] for row in rows if len(row) == 4 and row[0].isdecimal()]
-    return np.array(numbers[-n_nodes:]).reshape(-1, 3)
+    """Displacements (n_nodes, 3) [mm] under the whole load, of what CalculiX printed; (0, 3) where it did not get there.
+
+    It prints each increment that it takes when the whole load at once does not converge.
+    """
+    time, *lines = text.rpartition(HEADING)[2].splitlines() or ["0"]
+    rows = [[float(value) for value in line.split()[1:]] for line in lines if line.strip()]
+    return np.array(rows) if float(time) == 1.0 and len(rows) == n_nodes else np.zeros((0, 3))
