@@ -106,11 +106,23 @@ def damaged(fault):
         points[3, 1] = np.nan
     if fault == "pieces":
         points, tetrahedra = np.vstack([points, points + 50.0]), np.vstack([tetrahedra, tetrahedra + len(points)])
+    if fault == "pinched":  # a second cube on one corner of the first
+        more = points + np.ptp(points, axis=0)
+        points, tetrahedra = np.vstack([points, more]), np.vstack([tetrahedra, tetrahedra + len(points)])
+        points, number = np.unique(points.round(6), axis=0, return_inverse=True)
+        tetrahedra = number.ravel()[tetrahedra]
+    if fault in ("swapped", "folded"):
+        points, tetrahedra = with_middles(points, tetrahedra)
+        if fault == "swapped":
+            tetrahedra[5, 8:] = tetrahedra[5, :7:-1]
+        else:
+            points[tetrahedra[5, 4:7]] += 0.45 * (points[tetrahedra[5, 3]] - points[tetrahedra[5, :3]].mean(axis=0))
     if fault == "edge":  # two tetrahedra that share an edge only
         points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, 0, 0], [0, -1, 0]], float)
         tetrahedra = np.array([[0, 2, 3, 1], [0, 4, 5, 1]])
     data = {
         "not fixed": {"fixed": np.zeros(len(points))},
+        "two fixed": {"fixed": (np.arange(len(points)) < 2).astype(float)},
         "half fixed": {"fixed": np.full(len(points), 0.5)},
         "nu": {"poisson_ratio": np.full(n, 0.5)},
         "E": {"youngs_modulus_kPa": np.where(np.arange(n) == 4, -1.0, 1.0)},
@@ -131,13 +143,20 @@ def damaged(fault):
         ("unused", "1 nodes belong to no tetrahedron, the first is node 27"),
         ("nan", "node 3 has a coordinate that is not a number"),
         ("pieces", "the body falls into 2 pieces"),
+        ("pinched", "the body falls into 2 pieces"),
+        (
+            "swapped",
+            "1 tetrahedra have a middle node that lies nearer to the middle of another edge, the first is number 5",
+        ),
+        ("folded", r"\d+ tetrahedra (are folded by|have) .*middle node"),
+        ("two fixed", "the supports let the body slide away or turn: mark three"),
         ("edge", "the surface meets itself along an edge"),
         ("not fixed", "no node is fixed"),
         ("half fixed", "`fixed` must be 0 or 1"),
         ("nu", "poisson_ratio must be at least 0 and below 0.5; got 0.5 at cell 0"),
         ("E", "youngs_modulus_kPa must be above 0; got -1 at cell 4"),
         ("E nan", "youngs_modulus_kPa must be a finite number; got nan at cell 4"),
-        ("density", "density_kg_m3 must be at least 0; got -1"),
+        ("density", "density_kg_m3 must be above 0; got -1"),
     ],
 )
 def test_faults_of_a_mesh_are_told(fault, sentence, tmp_path):

@@ -143,6 +143,16 @@ def test_negative_curvature_makes_a_factor_give_way(library):
     assert solver.n_factorizations > 1
 
 
+@pytest.mark.skipif(factors.MKL is None, reason="SuperLU counts no signs")
+def test_signs_are_those_of_the_matrix_that_is_asked_about():
+    """The factor that is kept is another's: barely indefinite, then barely definite, and back."""
+    lowest = np.linalg.eigvalsh(matrix_of(3).toarray())[0]
+    indefinite, definite = matrix_of(3, lowest + 0.05), matrix_of(3, lowest - 0.05)
+    solver, rhs = LinearSolver(), right_side(definite)
+    solver.solve(indefinite, rhs, 1e-10)
+    assert [solver.is_definite(matrix) for matrix in (indefinite, definite, indefinite)] == [False, True, False]
+
+
 def test_multigrid_solves_what_is_too_large_for_superlu(monkeypatch):
     """A chain long enough that aggregation makes three levels; the same bits twice, whatever the global generator has done."""
     monkeypatch.setenv("CICATRIX_LINEAR_SOLVER", "pyamg")

@@ -1,5 +1,9 @@
 """Cutting and meshing a section: axes, round trips, a conforming cavity, named borders, refusals."""
 
+import os
+import signal
+import time
+
 import numpy as np
 import pytest
 
@@ -157,3 +161,10 @@ def test_skin_weighs_and_bears_no_load_in_the_bulk(half_disc):
     assert deep.mean() > 0.5
     assert tissue.density.max() == pytest.approx(0.5 * (930 + 1090) * 1e-9, rel=1e-3)
     np.testing.assert_allclose(tissue.mu, 3.25 / (2 * 1.495), rtol=1e-6)
+
+
+def test_ctrl_c_is_heard_after_meshing(mesh):
+    """MMG takes the signals for itself."""
+    with pytest.raises(KeyboardInterrupt):
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1.0)

@@ -224,3 +224,29 @@ def test_a_column_falls_to_a_stable_shape(rectangle, body_on):
     assert column.potential(X, x, gravity) < column.potential(X, X, gravity) - 1.0
     assert any("downhill" in line for line in report.history)
     assert report.history[-1].startswith("downhill")
+
+
+def test_a_column_without_wind_leaves_its_saddle(rectangle, body_on):
+    """The upright column balances at three times Greenhill's weight too, but not stably; what is found is."""
+    width, height, E = 4.0, 60.0, 10.0
+    column = body_on(rectangle(width, height, 1, 12), NeoHookean(*moduli_from_young(E, 0.45)), lambda p: p[1] < 1e-9)
+    modulus = E / (1 - 0.45**2)
+    g = 3.0 * 7.837 * modulus * width**3 / 12 / height**3 / (column.density.flat[0] * width)
+    X, gravity = column.frame.space.positions, np.array([0.0, -g, 0.0])
+    x, report = Equilibrium().loaded(column, X, gravity)
+    matrix, _ = column.linearised(X, x, column.dilation(X, x), in_plane=True)
+    assert np.linalg.eigvalsh(matrix.toarray())[0] > 0.0
+    assert np.abs(x - X)[:, 0].max() > 5.0
+    assert any("unstable" in line for line in report.history)
+
+
+def test_an_image_that_is_no_stable_equilibrium_is_told(rectangle, body_on):
+    """A column that stands upright in the image at three times Greenhill's weight: a shape is found, and doubted."""
+    width, height, E = 4.0, 60.0, 10.0
+    column = body_on(rectangle(width, height, 1, 12), NeoHookean(*moduli_from_young(E, 0.45)), lambda p: p[1] < 1e-9)
+    modulus = E / (1 - 0.45**2)
+    g = 7.837 * modulus * width**3 / 12 / height**3 / (column.density.flat[0] * width)
+    image = column.frame.space.positions
+    for share, is_stable in ((0.5, True), (3.0, False)):
+        _, report = Equilibrium().unloaded(column, image, np.array([0.0, -share * g, 0.0]))
+        assert report.is_stable == is_stable

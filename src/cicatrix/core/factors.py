@@ -235,7 +235,8 @@ class SuperLU(_Blocks):
 class Multigrid(_Blocks):
     """Smoothed aggregation by pyamg, for definite matrices too large for SuperLU; no factor, and many more steps.
 
-    Near-null space: translations. It notices an indefinite matrix only by the negative curvature that the iteration meets.
+    Near-null space: one constant for each component of a block, which are the translations of a body that does not slide.
+    It notices an indefinite matrix only by the negative curvature that the iteration meets.
     """
 
     most_steps = 500

@@ -71,8 +71,8 @@ class LinearSolver:
     indefinite as such; in place of one that is not symmetric a symmetric one is that is near. Symmetric matrices with a
     definite factor are solved with by conjugate gradients, all others by generalised minimal residuals.
 
-    The factor is kept until the steps that it took in excess of those with which it began, for as many digits, would have paid
-    for another one, or until it fails. What is done depends on numbers alone, never on time.
+    The factor is kept until the steps that it took in excess of its best rate, in steps per digit, would have paid for another
+    one, or until it fails. What is done depends on numbers alone, never on time.
 
     Parameters
     ----------
@@ -165,16 +165,18 @@ class LinearSolver:
         x, steps = self._engine.iterate(self._factor, method, matrix, rhs, tolerance, most)
         self.n_steps += steps
         digits = max(-np.log10(tolerance), 1.0)
-        self._best_rate = min(self._best_rate, steps / digits)
+        self._best_rate = min(self._best_rate, max(steps, 1) / digits)
         self._excess = np.inf if x is None else self._excess + steps - self._best_rate * digits
         return x
 
     def is_definite(self, matrix: sp.bsr_array) -> bool:
         """Whether a symmetric matrix has no negative eigenvalue, as far as a short search from a random start sees.
 
-        With SuperLU's factor of that same matrix it sees nothing, and the answer is yes.
+        An indefinite factor that is kept gives way to that of this matrix, whose signs are then counted. With SuperLU's factor
+        of that same matrix it sees nothing, and the answer is yes.
         """
         if self._kind != Kind.DEFINITE:
+            self._factorise(Kind.SYMMETRIC, matrix)  # the last one's signs are those of another matrix
             return not self._factor.n_negative
         rhs = np.random.Generator(np.random.Philox(0)).standard_normal(matrix.shape[0])
         x, steps = self._engine.iterate(self._factor, "cg", matrix, rhs, 1e-6, PROBE_STEPS)

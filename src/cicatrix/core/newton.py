@@ -15,6 +15,7 @@ class NewtonReport:
     """What a nonlinear solve did.
 
     ``history`` has one line per attempt, for the reader, ``norms`` the residual after each iteration; ``tell`` hears of each.
+    ``is_stable`` is False where an unloaded shape was found of which the known one is no stable equilibrium.
     """
 
     iterations: int = 0
@@ -22,6 +23,7 @@ class NewtonReport:
     history: list[str] = field(default_factory=list)
     norms: list[float] = field(default_factory=list)
     tell: Callable[[str], None] | None = None
+    is_stable: bool = True
 
     def count(self, norm: float) -> None:
         """Count an iteration that ended with this norm of the residual."""

@@ -10,6 +10,7 @@ import skfem
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label, map_coordinates
 
 from ..core.errors import InputError
+from ..core.signals import kept_signals
 from .section import Raster
 
 INSIDE = 3  # MMG's reference number for the negative side of a level set
@@ -101,7 +102,8 @@ def element_sizes(distance: np.ndarray, edge_mm: float, cavity_edge_mm: float) -
 
 
 def _cut(mesh: mmgpy.MmgMesh2D, level_set: np.ndarray, **options: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    mesh.remesh_levelset(np.ascontiguousarray(level_set, float)[:, None], verbose=-1, **options)
+    with kept_signals():
+        mesh.remesh_levelset(np.ascontiguousarray(level_set, float)[:, None], verbose=-1, **options)
     triangles, refs = mesh.get_triangles_with_refs()
     return mesh.get_vertices(), triangles, refs
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import mmgpy
 import numpy as np
 
+from ..core.signals import kept_signals
 from .meshing import INSIDE, Function
 from .tetrahedra import area_vectors, boundary, dihedral_angles, oriented, used_only, volumes
 
@@ -74,7 +75,8 @@ class Solid:
 def split(solid: Solid, level: np.ndarray) -> Solid:
     """Cut elements where the level set (n,) is zero, and say which are inside."""
     mesh = _mmg(solid)
-    mesh.remesh_levelset(np.ascontiguousarray(level, float)[:, None], verbose=-1, **SPLIT_ONLY)
+    with kept_signals():
+        mesh.remesh_levelset(np.ascontiguousarray(level, float)[:, None], verbose=-1, **SPLIT_ONLY)
     return _solid(mesh, solid.box)
 
 
@@ -83,7 +85,8 @@ def remesh(solid: Solid, size: np.ndarray, hausdorff_mm: float) -> Solid:
     mesh = _mmg(solid)
     mesh["metric"] = np.ascontiguousarray(size, float)[:, None]
     limits = {"hmin": 0.3 * float(size.min()), "hmax": float(size.max())}
-    mesh.remesh(verbose=-1, hausd=hausdorff_mm, hgrad=GRADATION, **limits)
+    with kept_signals():
+        mesh.remesh(verbose=-1, hausd=hausdorff_mm, hgrad=GRADATION, **limits)
     return _solid(mesh, solid.box)
 
 

@@ -100,6 +100,8 @@ def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_s
     """
     _check_numbers(points, tetrahedra)
     _check_shapes(points, tetrahedra)
+    if tetrahedra.shape[1] == 10:
+        _check_middles(points, tetrahedra)
     _check_surface(points, tetrahedra)
     _check_supports(points, tetrahedra, is_fixed, is_sliding)
 
@@ -135,6 +137,19 @@ def _check_shapes(points: np.ndarray, tetrahedra: np.ndarray) -> None:
         )
 
 
+def _check_middles(points: np.ndarray, tetrahedra: np.ndarray) -> None:
+    """Refuse middle nodes that are another edge's, or that fold their tetrahedron."""
+    ends = points[tetrahedra[:, np.array(EDGES)]]
+    away = np.linalg.norm(points[tetrahedra[:, 4:]][:, :, None] - ends.mean(axis=2)[:, None], axis=3)
+    bad = np.flatnonzero((away.argmin(axis=2) != np.arange(len(EDGES))).any(axis=1))
+    if bad.size:
+        raise InputError(
+            f"{bad.size} tetrahedra have a middle node that lies nearer to the middle of another edge, the first is number "
+            f"{bad[0]} at {_centre(points, tetrahedra, bad[0])}: middles follow in the order of VTK, (0,1) (1,2) (0,2) (0,3) "
+            "(1,3) (2,3)"
+        )
+
+
 def _check_surface(points: np.ndarray, tetrahedra: np.ndarray) -> None:
     faces = np.sort(tetrahedra[:, FACES[:, :3]].reshape(-1, 3), axis=1)
     shared, count = np.unique(faces, axis=0, return_counts=True)
@@ -150,33 +165,34 @@ def _check_surface(points: np.ndarray, tetrahedra: np.ndarray) -> None:
 
 
 def _check_supports(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_sliding: np.ndarray) -> None:
-    if not is_fixed.any():
-        if not is_sliding.any():
-            raise InputError("no node is fixed: mark some by point data `fixed` = 1, or the body falls")
-        faces = boundary(tetrahedra[:, :4])
-        _check_walls(points, faces[is_sliding[faces].all(axis=1)])
-    n, m = len(points), len(tetrahedra)
-    ones, cells = np.ones(4 * m), np.repeat(np.arange(m), 4)
-    holds = sp.coo_array((ones, (tetrahedra[:, :4].ravel(), cells)), shape=(n, m)).tocsr()
-    _, piece = connected_components(holds @ holds.T, directed=False)
-    corner = np.zeros(n, bool)
-    corner[tetrahedra[:, :4]] = True
-    pieces = np.unique(piece[corner])
-    if pieces.size > 1:
-        smallest = min(pieces, key=lambda i: np.count_nonzero(piece == i))
-        at = _place(points[corner & (piece == smallest)].mean(axis=0))
-        raise InputError(f"the body falls into {pieces.size} pieces, the smallest about {at}: it must be one")
+    if not is_fixed.any() and not is_sliding.any():
+        raise InputError("no node is fixed: mark some by point data `fixed` = 1, or the body falls")
+    _check_motions(points, is_fixed, boundary(tetrahedra[:, :4]), is_sliding)
+    pairs = neighbours(tetrahedra)
+    joined = sp.coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(len(tetrahedra),) * 2)
+    n_pieces, piece = connected_components(joined, directed=False)
+    if n_pieces > 1:
+        at = _place(points[tetrahedra[piece == np.bincount(piece).argmin(), :4]].mean(axis=(0, 1)))
+        raise InputError(
+            f"the body falls into {n_pieces} pieces, the smallest about {at}: it must be one, joined face to face"
+        )
 
 
-def _check_walls(points: np.ndarray, faces: np.ndarray) -> None:
-    """Refuse walls along which a body can slide away, or turn, as a whole: faces (n, 3)."""
-    normals, arms = area_vectors(points, faces), points - points.mean(axis=0)
-    rows = [np.hstack([normals, np.cross(arms[corner], normals)]) for corner in faces.T]
+def _check_motions(points: np.ndarray, is_fixed: np.ndarray, faces: np.ndarray, is_sliding: np.ndarray) -> None:
+    """Refuse supports that let a body slide away, or turn, as a whole: outer faces (n, 3)."""
+    walls = faces[is_sliding[faces].all(axis=1)]
+    normals, arms = area_vectors(points, walls), points - points.mean(axis=0)
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    held = [(np.flatnonzero(is_fixed), axis) for axis in np.eye(3)] + [(corner, normals) for corner in walls.T]
+    rows = [np.hstack([np.broadcast_to(along, (len(nodes), 3)), np.cross(arms[nodes], along)]) for nodes, along in held]
     pushes = np.vstack(rows) / np.linalg.norm(arms, axis=1).max() ** np.repeat([0, 1], 3)
     if np.linalg.matrix_rank(pushes, tol=1e-6 * np.abs(pushes).max(initial=0.0)) < 6:
-        raise InputError(
-            "sliding nodes alone let the body slide away or turn: mark some nodes by point data `fixed` = 1"
+        who, what = (
+            ("the supports let", "three nodes, not in line,")
+            if is_fixed.any()
+            else ("sliding nodes alone let", "some nodes")
         )
+        raise InputError(f"{who} the body slide away or turn: mark {what} by point data `fixed` = 1")
 
 
 def _place(point: np.ndarray) -> str:

@@ -2,8 +2,8 @@
 
 The reference is one cell per site: pitch 10 um, one cell cycle (``hours_per_step``) per step. A coarser site stands for
 a block of cells, and its step takes k cell cycles. In 2-D k = h / 10 um, but at most 5: beyond that feedback has no room
-below a probability of 1. In 3-D k = h / (2 p_layer layer_um), so that without feedback a straight front moves by half a
-site in a step: daughters that make several sites of front at once make the facets of the lattice, however many cells
+below a probability of 1. In 3-D k is also at most h / (2 p_layer layer_um), so that without feedback a straight front moves
+by half a site in a step: daughters that make several sites of front at once make the facets of the lattice, however many cells
 wander. What each number becomes:
 
 * layer: a cell of the layer divides at the rate p_layer / hours_per_step, whatever the pitch; the daughters of a layer
@@ -14,9 +14,11 @@ wander. What each number becomes:
 * motility: n sub-steps diffuse with D = n h^2 c / dt (c = 3/16 in 2-D, 1/8 in 3-D), so D is kept by
   n(h) = n k (10 um / h)^2, rounded to a whole number, at least 1.
 
-Kept: the speed of the front in mm/day, from both kinds of division, and up to rounding the layer's thickness and D.
-Not kept: the noise of the front, which grows with the pitch; what is smaller than a few sites; and curvature flow where
-n(h) is so small that the level set of the lattice does not move. docs/decisions/0005 has the measurements.
+Kept: the speed of the front in mm/day, from both kinds of division, and up to rounding the layer's thickness; D too, as long
+as n(h) is not below 1. One sub-step a step at a coarse pitch wanders further: D is 2.5 times as large at 100 um in 2-D, and
+10, 16 and 26 times at 100, 150 and 250 um in 3-D, where it still smooths no more than 1 mm in the time that a wound takes.
+Not kept: the noise of the front, which grows with the pitch; what is smaller than a few sites; and curvature flow where the
+level set of the lattice does not move. docs/decisions/0005 has the measurements.
 """
 
 from __future__ import annotations
@@ -44,7 +46,8 @@ def cycles_per_step(pitch_um: float, n_axes: int = 2, p_layer: float = P_LAYER, 
     if not (np.isfinite(pitch_um) and pitch_um > 0):
         raise InputError(f"pitch_um must be positive; got {pitch_um}")
     most = min(pitch_um / CELL_UM, LONGEST_STEP)
-    return min(most, SITES_PER_STEP * pitch_um / (p_layer * layer_um)) if n_axes == 3 and p_layer * layer_um else most
+    is_fast = n_axes == 3 and p_layer * layer_um > SITES_PER_STEP * CELL_UM
+    return min(most, SITES_PER_STEP * pitch_um / (p_layer * layer_um)) if is_fast else most
 
 
 def rules_at_pitch(

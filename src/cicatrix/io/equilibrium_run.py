@@ -17,7 +17,7 @@ from ..core.newton import NewtonReport
 from ..core.petsc import petsc
 from ..core.ranks import Ranks, world
 from ..core.units import acceleration_mm_s2, ml_from_mm3
-from ..mechanics.body import Body
+from ..mechanics.body import Body, local_volumes
 from ..mechanics.division import layout_of, shared
 from ..mechanics.equilibrium import Equilibrium
 from ..study.equilibrium import moved, solid_body
@@ -50,7 +50,8 @@ class EquilibriumRun:
         with self.progress.stage("outcome"):
             self._tell(given, body, found, report, solver)
         sought = "unloaded" if self.case.solver.inverse else "loaded"
-        return f"The {sought} shape was found in {report.iterations} Newton iterations."
+        doubt = "" if report.is_stable else " The given shape is not a stable equilibrium of it."
+        return f"The {sought} shape was found in {report.iterations} Newton iterations.{doubt}"
 
     def _solve(self, given: MeshedBody, body: Body) -> tuple[np.ndarray, NewtonReport, Equilibrium]:
         return _find(self.case, given, body, self.ranks, lambda words: self.progress.update(None, words))
@@ -73,7 +74,7 @@ class EquilibriumRun:
             {"displacement": shift, "fixed": given.is_fixed},
             {
                 "strain_energy_density_kPa": energy.mean(axis=1),
-                "volume_ratio": body.dilation(X, x)[:, 0],
+                "volume_ratio": body.dilation(X, x).mean(axis=1),
                 "youngs_modulus_kPa": given.E,
             },
         )
@@ -122,6 +123,13 @@ def _body(case: EquilibriumCase, given: MeshedBody, is_shared: bool) -> Body:
         is_pressurised=given.is_pressurised,
         pressure=pressure,
     )
+    space = body.frame.space
+    folded = np.flatnonzero((local_volumes(space, space.positions) <= 0.0).any(axis=1))
+    if folded.size:
+        raise InputError(
+            f"{name}: {folded.size} tetrahedra are folded by their middle nodes, the first is number {folded[0]}: these must lie "
+            "near the middles of the edges"
+        )
     if pressure and body.pressure is None:
         raise InputError(
             f"{name}: loads.pressure_kPa = {pressure:g} acts on no face: mark the corners of some boundary faces by point "

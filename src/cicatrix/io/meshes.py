@@ -107,7 +107,7 @@ def _body(mesh: meshio.Mesh, unit: str) -> MeshedBody:
     E, nu, density = data.values()
     _refuse(E <= 0.0, "youngs_modulus_kPa must be above 0", E)
     _refuse((nu < 0.0) | (nu >= 0.5), "poisson_ratio must be at least 0 and below 0.5", nu)
-    _refuse(density < 0.0, "density_kg_m3 must be at least 0", density)
+    _refuse(density <= 0.0, "density_kg_m3 must be above 0", density)
     return MeshedBody(
         points, tetrahedra, is_fixed, displacement, is_sliding, is_pressurised, E, nu, density_kg_mm3(density)
     )

@@ -73,7 +73,8 @@ class Contact:
     that the plate would have to pull are released, and those that went into it are put onto it (the primal-dual active
     set, a semismooth Newton method: Hintermueller, Ito & Kunisch 2002), until nothing changes and forces balance. Its nodes
     carry what a plate and the body exert on each other, so the pressure between them is known to the size of a face;
-    corners of quadratic faces carry nothing of an even pressure.
+    corners of quadratic faces carry nothing of an even pressure. Whether what is found is stable is not checked: a straight
+    column stays straight beyond the load at which it would buckle.
 
     Parameters
     ----------

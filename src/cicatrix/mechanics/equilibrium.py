@@ -23,6 +23,7 @@ REUSE_BELOW = 0.05  # a step that brings the residual so far down earns its tang
 LOOSEST, CLOSE = 1e-2, 1e-6  # how exactly a linear system is solved, relative to its right-hand side
 DRAG_STEP, NO_WAY = 1e-6, 1e-13  # of the body's extent: step of a difference, and what is rounding
 RIGID = 1e-6  # of the forces that move supports alone: what a body that follows as a whole is measured against
+ASIDE, MOST_SADDLES = 1e-4, 6  # of the body's extent: how far beside a saddle to go on; how many to leave
 START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
 
 
@@ -48,16 +49,17 @@ class Equilibrium:
     ) -> None:
         self.relative_tolerance, self.tell, self._on = relative_tolerance, tell, on
         self._linear: dict[bool, LinearSolver] = {}  # by whether a section's normal is left out
+        self._downhill = np.zeros(2, int)  # factorisations and Krylov steps of solvers that are gone
 
     @property
     def factorizations(self) -> int:
         """Matrices factorised so far."""
-        return sum(solver.n_factorizations for solver in self._linear.values())
+        return int(self._downhill[0]) + sum(solver.n_factorizations for solver in self._linear.values())
 
     @property
     def krylov_steps(self) -> int:
         """Solves with a factor so far."""
-        return sum(solver.n_steps for solver in self._linear.values())
+        return int(self._downhill[1]) + sum(solver.n_steps for solver in self._linear.values())
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on besides its arguments: the factors, for ``restore``."""
@@ -179,7 +181,7 @@ class Equilibrium:
 
         The discrete equilibrium equations are those of ``loaded``, solved for the reference positions (inverse
         deformation, Govindjee & Mihalic 1996), so that loading the answer again gives the known shape back to the
-        solver's tolerance.
+        solver's tolerance, if it is a stable equilibrium; ``is_stable`` of the report says whether it is (without pressure).
 
         Parameters
         ----------
@@ -200,6 +202,11 @@ class Equilibrium:
             return self._newton(replace(problem, beside=problem.pressing).under(factor, X), report)
 
         X = ramp(advance, x, report, max_iterations=300)  # slender breasts hang far: many small steps
+        problem = _Problem(body, X, x, gravity, gravity)
+        tangent = problem.linearised(problem.unknowns(x), body.dilation(X, x))
+        if problem.is_symmetric and not self._solver(problem).is_definite(tangent.matrix):
+            report.is_stable = False
+            report.history.append("the known shape is not a stable equilibrium of it: loaded again it goes elsewhere")
         return X, report
 
     def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
@@ -255,11 +262,21 @@ class Equilibrium:
             damping *= max(np.linalg.norm(problem.gravity), 1.0)  # pyright: ignore[reportAssignmentType]
             return problem.linearised(values, body.dilation(problem.X, x), damping).solve(solver, -r, CLOSE)
 
-        start = problem.unknowns(problem.x)
-        tolerance = self.relative_tolerance * problem.weight
+        values, tolerance = problem.unknowns(problem.x), self.relative_tolerance * problem.weight
+        aside = np.random.Generator(np.random.Philox(0)).standard_normal(values.size)
+        aside *= ASIDE * np.ptp(problem.X, axis=0).max()
         try:
-            values = minimise(energy, residual, step, start, tolerance=tolerance, report=report)
+            for _ in range(MOST_SADDLES):
+                values = minimise(energy, residual, step, values, tolerance=tolerance, report=report)
+                matrix = problem.linearised(values, body.dilation(problem.X, problem.positions(values))).matrix
+                if solver.is_definite(matrix):
+                    break
+                report.history.append("that way ended at an unstable equilibrium; on from beside it")
+                values = values + aside
+            else:
+                raise ConvergenceError("No stable equilibrium was found.", ["every way down ended at a saddle"])
         finally:
+            self._downhill += solver.n_factorizations, solver.n_steps
             solver.forget()
         _check_elements(body, *problem.shapes(values))
         return problem.positions(values)

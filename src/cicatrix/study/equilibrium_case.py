@@ -14,8 +14,8 @@ class BodyTable(Table):
 
     Cell data ``youngs_modulus_kPa``, ``poisson_ratio``, ``density_kg_m3``. Point data ``fixed`` (0 or 1), and where there is
     need of them: ``prescribed_displacement`` (three components [mm], of fixed nodes), ``sliding`` (0 or 1: corners of
-    boundary faces that slide along themselves without friction), ``pressurised`` (0 or 1: corners of boundary faces that bear
-    ``loads.pressure_kPa``).
+    boundary faces that slide without friction along the planes that they lie in at first), ``pressurised`` (0 or 1: corners
+    of boundary faces that bear ``loads.pressure_kPa``).
     """
 
     mesh: Path
