@@ -30,6 +30,6 @@ def test_the_wound_closes_on_a_real_image(path, data, tmp_path):
         overrides = [f'image.path="{tmp_path / "series"}"']
     results = cicatrix.simulate(cicatrix.load_case(path, overrides), out=tmp_path / "run")
     assert results.history["closed_fraction"][-1] == 1.0
-    most = 150 if path.stem.endswith("-3d") else 100  # tissue laid down loaded gives no feedback
-    assert 40 < results.outcome["time_to_closure_days"].value < most
-    assert (results.history["newton_iterations"][1:] < 10).all()
+    assert 40 < results.outcome["time_to_closure_days"].value < 100
+    most = 20 if path.stem.endswith("-3d") else 10
+    assert (results.history["newton_iterations"][1:] < most).all()
