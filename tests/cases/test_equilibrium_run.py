@@ -185,12 +185,23 @@ def test_a_file_that_is_no_mesh_is_told(tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_body_that_fails_in_the_wrong_unit_is_doubted(tmp_path):
+    """A cube of 20 m: it cannot bear its weight, and the sentence says what it was taken for."""
+    points, tetrahedra = cube()
+    case = load_case(write(tmp_path, points, tetrahedra), ["body.mesh_unit=m"])
+    with pytest.raises(
+        cicatrix.core.errors.ConvergenceError, match=r"The mesh is 20000 mm across: is body\.mesh_unit right"
+    ):
+        cicatrix.simulate(case, tmp_path / "run")
+
+
 def test_a_body_too_soft_for_its_weight_fails_with_its_history(tmp_path):
     points, tetrahedra = cube()
     case = load_case(write(tmp_path, points, tetrahedra, youngs_modulus_kPa=np.full(len(tetrahedra), 0.002)))
     with pytest.raises(cicatrix.core.errors.ConvergenceError) as caught:
         cicatrix.simulate(case, tmp_path / "run")
     assert caught.value.history
+    assert "mesh_unit" not in str(caught.value)
     assert '"failed"' in (tmp_path / "run" / "manifest.json").read_text()
 
 

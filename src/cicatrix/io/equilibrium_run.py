@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import InputError
+from ..core.errors import ConvergenceError, InputError
 from ..core.krylov import PetscEngine
 from ..core.newton import NewtonReport
 from ..core.petsc import petsc
@@ -43,6 +43,8 @@ class EquilibriumRun:
         """Find the shape; returns the sentence that ends the run."""
         with self.progress.stage("mesh"):
             given, body = _given(self.case, self.ranks)
+        if doubt := _extent(given.points).note:
+            self.folder.note(f"The mesh is {_extent(given.points).value:g} mm across: {doubt}")
         with self.progress.stage("solve"):
             found, report, solver = self._solve(given, body)
             for line in [*_how(self.case, self.ranks), *report.history]:
@@ -54,7 +56,12 @@ class EquilibriumRun:
         return f"The {sought} shape was found in {report.iterations} Newton iterations.{doubt}"
 
     def _solve(self, given: MeshedBody, body: Body) -> tuple[np.ndarray, NewtonReport, Equilibrium]:
-        return _find(self.case, given, body, self.ranks, lambda words: self.progress.update(None, words))
+        try:
+            return _find(self.case, given, body, self.ranks, lambda words: self.progress.update(None, words))
+        except ConvergenceError as error:
+            extent = _extent(given.points)
+            doubt = f" The mesh is {extent.value:g} mm across: {extent.note}" if extent.note else ""
+            raise ConvergenceError(f"{error}{doubt}", error.history) from error
 
     def _tell(
         self, given: MeshedBody, body: Body, found: np.ndarray, report: NewtonReport, solver: Equilibrium
