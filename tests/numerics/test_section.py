@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import InputError
+from cicatrix.core.signals import TAKEN
 from cicatrix.geometry.labels import TISSUES, Label
 from cicatrix.geometry.meshing import label_borders, mesh_section
 from cicatrix.geometry.section import Section
@@ -161,7 +162,15 @@ def test_skin_weighs_and_bears_no_load_in_the_bulk(half_disc):
     np.testing.assert_allclose(tissue.mu, 3.25 / (2 * 1.495), rtol=1e-6)
 
 
-def test_ctrl_c_is_heard_after_meshing(mesh):
-    """MMG takes the signals for itself."""
-    with pytest.raises(KeyboardInterrupt):
-        signal.raise_signal(signal.SIGINT)
+def test_signals_are_heard_after_meshing():
+    """MMG takes them for itself; the process would end here."""
+    heard, box = [], (np.array([-RADIUS, -RADIUS]), np.array([RADIUS, 0.0]))
+    before = {number: signal.signal(number, lambda n, _: heard.append(n)) for number in TAKEN}
+    try:
+        mesh_section(half, None, *box, edge_mm=8.0, cavity_edge_mm=4.0)
+        for number in TAKEN:
+            signal.raise_signal(number)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert heard == list(TAKEN)
