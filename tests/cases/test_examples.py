@@ -28,8 +28,10 @@ def test_the_wound_closes_on_a_real_image(path, data, tmp_path):
         with zipfile.ZipFile(data / "mimbcd_uta4p1_dicom12.zip") as archive:
             archive.extractall(tmp_path / "series")
         overrides = [f'image.path="{tmp_path / "series"}"']
-    results = cicatrix.simulate(cicatrix.load_case(path, overrides), out=tmp_path / "run")
+    case = cicatrix.load_case(path, overrides)
+    results = cicatrix.simulate(case, out=tmp_path / "run")
     assert results.history["closed_fraction"][-1] == 1.0
-    assert 40 < results.outcome["time_to_closure_days"].value < 100
+    latest = 150 if case.healing.deposition == "loaded" else 100  # new tissue at rest gives no feedback
+    assert 40 < results.outcome["time_to_closure_days"].value < latest
     most = 20 if path.stem.endswith("-3d") else 10
     assert (results.history["newton_iterations"][1:] < most).all()
