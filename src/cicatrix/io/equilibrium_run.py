@@ -43,8 +43,8 @@ class EquilibriumRun:
         """Find the shape; returns the sentence that ends the run."""
         with self.progress.stage("mesh"):
             given, body = _given(self.case, self.ranks)
-        if doubt := _extent(given.points).note:
-            self.folder.note(f"The mesh is {_extent(given.points).value:g} mm across: {doubt}")
+        if doubt := _doubt(given.points):
+            self.folder.note(doubt)
         with self.progress.stage("solve"):
             found, report, solver = self._solve(given, body)
             for line in [*_how(self.case, self.ranks), *report.history]:
@@ -59,9 +59,7 @@ class EquilibriumRun:
         try:
             return _find(self.case, given, body, self.ranks, lambda words: self.progress.update(None, words))
         except ConvergenceError as error:
-            extent = _extent(given.points)
-            doubt = f" The mesh is {extent.value:g} mm across: {extent.note}" if extent.note else ""
-            raise ConvergenceError(f"{error}{doubt}", error.history) from error
+            raise ConvergenceError(f"{error} {_doubt(given.points)}".rstrip(), error.history) from error
 
     def _tell(
         self, given: MeshedBody, body: Body, found: np.ndarray, report: NewtonReport, solver: Equilibrium
@@ -191,3 +189,9 @@ def _extent(points: np.ndarray) -> Quantity:
     largest = float(np.ptp(points, axis=0).max())
     doubt = "" if LIKELY_MM[0] <= largest <= LIKELY_MM[1] else "is body.mesh_unit right?"
     return Quantity(largest, "mm", doubt)
+
+
+def _doubt(points: np.ndarray) -> str:
+    """What there is to say of an unlikely extent; empty where it is likely."""
+    extent = _extent(points)
+    return f"The mesh is {extent.value:g} mm across: {extent.note}" if extent.note else ""

@@ -36,6 +36,7 @@ from .pattern import Pattern
 from .space import SolidSpace, Space
 from .supports import Supports
 
+START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
 PIECE = 2048  # elements that are linearised at a time
 # the fused code generator of XLA takes twice as long to compile these kernels, and they run no faster for it
 COMPILER = {"xla_cpu_use_fusion_emitters": False}
@@ -270,6 +271,16 @@ class Body:
         """Change of force when J_bar changes by ``gap`` (n_elements, n_qp) -> (n_nodes, 3) [mN/mm]."""
         force = np.einsum("eqm,eq->em", rates.force_rate, gap).reshape(len(gap), -1, 3)
         return self.frame.scatter([force, np.zeros((*self.frame.skin_nodes.shape, 3))])
+
+    def volume_change(self, rates: VolumeRates, moved: np.ndarray) -> np.ndarray:
+        """Change of J_bar when nodes move (n_nodes, 3) [mm], to first order -> (n_elements, n_qp) [1]."""
+        cells = moved[self.frame.space.element_nodes]
+        return np.einsum("eqm,em->eq", rates.volume_rate, cells.reshape(len(cells), -1))
+
+    def starting_dilation(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """``dilation``, but not far from rest: that of a shape to start from is not believed (n_elements, n_qp) [1]."""
+        rest = np.asarray(self.law.volume_at_rest())
+        return rest * np.clip(self.dilation(X, x) / rest, 1.0 - START_VOLUME, 1.0 + START_VOLUME)
 
     def _gather(self, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, ...]:
         cells = self.frame.space.element_nodes

@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from ..core.errors import ConvergenceError, InputError
 from ..core.linear import Engine, LinearSolver
 from ..core.newton import NewtonReport, ramp
-from .body import Body, VolumeRates
+from .body import Body
 from .held import Held
 
 FIRST, SMALLEST = 1 / 32, 1 / 2048  # share of the plates' way that is tried at once, and below which it is given up
@@ -21,7 +21,6 @@ BALANCED = 1e-6
 NEAR, NEARBY = 0.1, 1e-3  # of the forces, of the body's extent: what a patient solve takes for near
 MOST_IN_ALL = 1000
 WILD = 30.0  # a residual that grew so much does not come back
-CALM = 0.01  # how far from rest the volume ratio of a starting shape is believed
 CLOSE = 1e-5  # how exactly a linear system is solved, relative to its right-hand side
 ON_PLATE = 1e-7  # of the body's extent: how near a node is to a plate that it touches
 PULL = 1e-5  # of the largest force of a plate on a node: what counts as none
@@ -176,7 +175,7 @@ class _Way:
         """Equilibrium after a share of the way, from a shape x before; ``patient``: nobody comes or goes far from balance."""
         plates, gravity = [plate.at(share) for plate in self.plates], share * self.gravity
         touching = self.touching | self._beyond(plates, x)
-        state = _State(x, _calm(self.body, self.X, x))
+        state = _State(x, self.body.starting_dilation(self.X, x))
         r, first = self.body.residual(self.X, x, gravity, state.J_bar), np.inf
         for number in range(MOST_ITERATIONS):
             held = Held(self.body.frame, np.array([p.normal for p in plates], float), touching)
@@ -219,7 +218,7 @@ class _Way:
         followed = self.solver.step(held.matrix(matrix), -held.project(rhs))
         expected = held.push(held.from_free(rhs + matrix @ followed))
         du = held.from_free(followed) + way
-        return _State(state.x + du, state.J_bar + gap + _volume_change(body, rates, du)), expected
+        return _State(state.x + du, state.J_bar + gap + body.volume_change(rates, du)), expected
 
     def _beyond(self, plates: list[Plate], x: np.ndarray) -> np.ndarray:
         return np.stack([(p.gap(x) < -self._reach) & self.body.active_nodes for p in plates])
@@ -257,14 +256,3 @@ def _first(changes: np.ndarray) -> np.ndarray:
     out = np.zeros_like(changes)
     out.flat[np.argmax(changes)] = changes.any()
     return out
-
-
-def _calm(body: Body, X: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Volume ratios to start from: those of x, but not far from rest."""
-    rest = np.asarray(body.law.volume_at_rest())
-    return rest * np.clip(body.dilation(X, x) / rest, 1.0 - CALM, 1.0 + CALM)
-
-
-def _volume_change(body: Body, rates: VolumeRates, du: np.ndarray) -> np.ndarray:
-    moved = du[body.frame.space.element_nodes].reshape(len(rates.volume_rate), -1)
-    return np.einsum("eqm,em->eq", rates.volume_rate, moved)

@@ -24,7 +24,6 @@ LOOSEST, CLOSE = 1e-2, 1e-6  # how exactly a linear system is solved, relative t
 DRAG_STEP, NO_WAY = 1e-6, 1e-13  # of the body's extent: step of a difference, and what is rounding
 RIGID = 1e-6  # of the forces that move supports alone: what a body that follows as a whole is measured against
 ASIDE, MOST_SADDLES = 1e-4, 6  # of the body's extent: how far beside a saddle to go on; how many to leave
-START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
 
 
 class Equilibrium:
@@ -203,9 +202,10 @@ class Equilibrium:
 
         X = ramp(advance, x, report, max_iterations=300)  # slender breasts hang far: many small steps
         problem = _Problem(body, X, x, gravity, gravity)
-        tangent = problem.linearised(problem.unknowns(x), body.dilation(X, x))
-        if problem.is_symmetric and not self._solver(problem).is_definite(tangent.matrix):
-            report.is_stable = False
+        if problem.is_symmetric:
+            tangent = problem.linearised(problem.unknowns(x), body.dilation(X, x))
+            report.is_stable = self._solver(problem).is_definite(tangent.matrix)
+        if not report.is_stable:
             report.history.append("the known shape is not a stable equilibrium of it: loaded again it goes elsewhere")
         return X, report
 
@@ -236,8 +236,7 @@ class Equilibrium:
             tangent, forcing = kept.at(z, r)
             rates, gap = tangent.rates, r[n:].reshape(shape) / scale
             du = tangent.solve(solver, -(r[:n] + problem.free_part(body.volume_force(rates, gap))), forcing)
-            moved = (problem.positions(z[:n] + du) - problem.positions(z[:n]))[body.frame.space.element_nodes]
-            dJ = np.einsum("eqm,em->eq", rates.volume_rate, moved.reshape(shape[0], -1)) + gap
+            dJ = body.volume_change(rates, problem.positions(z[:n] + du) - problem.positions(z[:n])) + gap
             return np.concatenate([du, dJ.ravel()])
 
         z = np.concatenate([problem.unknowns(problem.x), problem.volume_ratios.ravel()])
@@ -387,9 +386,7 @@ class _Problem:
     @cached_property
     def volume_ratios(self) -> np.ndarray:
         """Volume ratios to start from: those of x, but not far from rest (n_elements, n_qp) [1]."""
-        rest = np.asarray(self.body.law.volume_at_rest())
-        ratios = self.body.dilation(*self._ordered(self.x)) / rest
-        return rest * np.clip(ratios, 1.0 - START_VOLUME, 1.0 + START_VOLUME)
+        return self.body.starting_dilation(*self._ordered(self.x))
 
     @cached_property
     def out_of_balance(self) -> np.ndarray:

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 import scipy.sparse as sp
 
+from ..core.native import turn_blocks
 from .body import Frame
 
 
@@ -68,22 +69,15 @@ class Held:
 
     def project(self, values: np.ndarray) -> np.ndarray:
         """(n_free,) -> (n_free,), 0 along what is held."""
-        return np.einsum("nij,nj->ni", self._P[self._solved], values.reshape(-1, 3)).reshape(-1)
+        return np.einsum("nij,nj->ni", self._P[self._frame.free_nodes], values.reshape(-1, 3)).reshape(-1)
 
     def matrix(self, matrix: sp.bsr_array) -> sp.bsr_array:
         """P K P + c (I - P) of K (n_free, n_free), c its mean diagonal."""
-        rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
-        P, data = self._P[self._solved], matrix.data.copy()
-        is_held = np.zeros(len(self._P), bool)
-        is_held[self._nodes] = True
-        is_held = is_held[self._solved]
-        at = np.flatnonzero(is_held[rows] | is_held[matrix.indices])
-        data[at] = P[rows[at]] @ data[at] @ P[matrix.indices[at]]
+        nodes = self._frame.free_nodes
+        rows = np.repeat(np.arange(nodes.size), np.diff(matrix.indptr))
+        P, data = self._P[nodes], matrix.data.copy()
+        turn_blocks(data, matrix.indptr, matrix.indices, P, P)
+        is_held = np.isin(nodes, self._nodes)
         on = np.flatnonzero((rows == matrix.indices) & is_held[rows])
         data[on] += matrix.diagonal().mean() * (np.eye(3) - P[rows[on]])
         return sp.bsr_array((data, matrix.indices, matrix.indptr), shape=matrix.shape)
-
-    @property
-    def _solved(self) -> np.ndarray:
-        """Nodes that are not fixed."""
-        return self._free[::3] // 3
