@@ -13,13 +13,20 @@ from .errors import InputError
 
 
 def param(
-    unit: str, symbol: str, *, low: float = -np.inf, high: float = np.inf, default: Any = dataclasses.MISSING
+    unit: str,
+    symbol: str,
+    *,
+    low: float = -np.inf,
+    high: float = np.inf,
+    default: Any = dataclasses.MISSING,
+    typed: str | None = None,
 ) -> Any:
     """Declare a parameter of a law: its unit, symbol and closed range.
 
-    The value is a number or an array of one number per point.
+    The value is a number or an array of one number per point. A case file's key is the field's name and the unit that
+    is ``typed`` there ("h" of a time in s, "deg" of an angle in rad), that of the law if nothing is said.
     """
-    metadata = {"unit": unit, "symbol": symbol, "low": low, "high": high}
+    metadata = {"unit": unit, "symbol": symbol, "low": low, "high": high, "typed": typed or unit}
     return (
         eqx.field(metadata=metadata)
         if default is dataclasses.MISSING

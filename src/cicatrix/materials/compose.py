@@ -14,11 +14,17 @@ class Sum(EnergyMaterial):
 
     def energy(self, F: Array, state: State = ()) -> Array:
         """Sum of the parts' energies: F (..., 3, 3) [1] -> (...) [kPa]."""
-        return sum(part.energy(F, s) for part, s in zip(self.parts, state or ((),) * len(self.parts), strict=True))  # pyright: ignore[reportReturnType]
+        return sum(part.energy(F, s) for part, s in self._with(state))  # pyright: ignore[reportReturnType]
 
-    def volume_at_rest(self) -> Array:
+    def volume_at_rest(self, state: State = ()) -> Array:
         """That of the first part, which is to be the one that bears volume change."""
-        return self.parts[0].volume_at_rest()
+        part, history = self._with(state)[0]
+        return part.volume_at_rest(history)
+
+    def growth_tensor(self, state: State = ()) -> Array:
+        """That of the first part."""
+        part, history = self._with(state)[0]
+        return part.growth_tensor(history)
 
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The parts' histories, in order."""
@@ -26,4 +32,12 @@ class Sum(EnergyMaterial):
 
     def advance(self, F: Array, state: State, dt: float) -> State:
         """Advance every part."""
-        return tuple(p.advance(F, s, dt) for p, s in zip(self.parts, state or ((),) * len(self.parts), strict=True))
+        return tuple(part.advance(F, s, dt) for part, s in self._with(state))
+
+    def dissipated(self, F: Array, before: State, after: State, dt: float) -> Array:
+        """Sum over the parts."""
+        both = zip(self._with(before), self._with(after), strict=True)
+        return sum(part.dissipated(F, old, new, dt) for (part, old), (_, new) in both)  # pyright: ignore[reportReturnType]
+
+    def _with(self, state: State) -> list[tuple[EnergyMaterial, State]]:
+        return list(zip(self.parts, state or ((),) * len(self.parts), strict=True))

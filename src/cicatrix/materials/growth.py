@@ -32,9 +32,9 @@ class NaturalConfiguration(EnergyMaterial):
         """Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
         return det(self.F_n) * self.law.energy(product(F, inv(self.F_n)), state)
 
-    def volume_at_rest(self) -> Array:
+    def volume_at_rest(self, state: State = ()) -> Array:
         """Volume ratio of the natural configuration (...) [1]."""
-        return det(self.F_n) * self.law.volume_at_rest()
+        return det(self.F_n) * self.law.volume_at_rest(state)
 
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The law's own history."""
@@ -43,3 +43,7 @@ class NaturalConfiguration(EnergyMaterial):
     def advance(self, F: Array, state: State, dt: float) -> State:
         """Advance the law at its elastic deformation."""
         return self.law.advance(product(F, inv(self.F_n)), state, dt)
+
+    def dissipated(self, F: Array, before: State, after: State, dt: float) -> Array:
+        """That of the law per volume of its natural configuration, times how much of that there is."""
+        return det(self.F_n) * self.law.dissipated(product(F, inv(self.F_n)), before, after, dt)

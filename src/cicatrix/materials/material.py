@@ -51,20 +51,28 @@ class EnergyMaterial(Law):
         """Strain energy per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
         raise NotImplementedError
 
-    def volume_at_rest(self) -> Array:
+    def volume_at_rest(self, state: State = ()) -> Array:
         """Volume ratio of the stress-free state (...) [1]: about where a solver may look for the loaded one."""
         return jnp.ones(())
+
+    def growth_tensor(self, state: State = ()) -> Array:
+        """F_g, reference to grown, of a law that grows (..., 3, 3) [1]; the identity of any other."""
+        return jnp.eye(3)
 
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """No history unless the law says otherwise."""
         return ()
 
     def advance(self, F: Array, state: State, dt: float) -> State:
-        """No history unless the law says otherwise."""
+        """History after a step dt [s] that ends at F; none unless the law says otherwise."""
         return state
 
+    def dissipated(self, F: Array, before: State, after: State, dt: float) -> Array:
+        """Work turned into heat in a step dt [s] that ends at F (...) [kPa]; never negative."""
+        return jnp.zeros(F.shape[:-2])
+
     def stress(self, F: Array, state: State = ()) -> Array:
-        """P = dPsi/dF at points: F (..., 3, 3) [1] -> (..., 3, 3) [kPa]."""
+        """P = dPsi/dF at points, the history held: F (..., 3, 3) [1] -> (..., 3, 3) [kPa]."""
         return jax.grad(lambda G: jnp.sum(self.energy(G, state)))(F)
 
     def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:

@@ -21,11 +21,11 @@ class NeoHookean(EnergyMaterial):
     mu : float or (...) array [kPa]
         Initial shear modulus.
     kappa : float or (...) array [kPa]
-        Bulk modulus.
+        Bulk modulus; 0 where something else keeps the volume.
     """
 
     mu: float | Array = param("kPa", "mu", low=0.0)
-    kappa: float | Array = param("kPa", "kappa", low=0.0)
+    kappa: float | Array = param("kPa", "kappa", low=0.0, default=0.0)
 
     def energy(self, F: Array, state: State = ()) -> Array:
         """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
