@@ -20,18 +20,26 @@ def param(
     high: float = np.inf,
     default: Any = dataclasses.MISSING,
     typed: str | None = None,
+    types: Any = None,
+    static: bool = False,
 ) -> Any:
     """Declare a parameter of a law: its unit, symbol and closed range.
 
-    The value is a number or an array of one number per point. A case file's key is the field's name and the unit that
-    is ``typed`` there ("h" of a time in s, "deg" of an angle in rad), that of the law if nothing is said.
+    The value is a number or an array of one number per point; ``static`` ones are numbers, and not differentiable. A case
+    file's key is the field's name and the unit that is ``typed`` there ("h" of a time in s, "deg" of an angle in rad), that
+    of the law if nothing is said. A parameter that is a law itself may be one of several: ``types``, classes by the
+    ``type`` that a case file gives them.
     """
     metadata = {"unit": unit, "symbol": symbol, "low": low, "high": high, "typed": typed or unit}
-    return (
-        eqx.field(metadata=metadata)
-        if default is dataclasses.MISSING
-        else eqx.field(metadata=metadata, default=default)
-    )
+    metadata |= {"types": types} if types else {}
+    given = {} if default is dataclasses.MISSING else {"default": default}
+    return eqx.field(static=static, metadata=metadata, **given)
+
+
+def count(symbol: str, *, low: int, high: int, default: int) -> Any:
+    """Declare a whole number that says how finely a law integrates: not differentiable, the same at all points."""
+    metadata = {"unit": "1", "symbol": symbol, "low": low, "high": high, "typed": "1"}
+    return eqx.field(static=True, metadata=metadata, default=default)
 
 
 class Law(eqx.Module):
@@ -50,6 +58,10 @@ class Law(eqx.Module):
 
 
 def _check_range(law: str, field: dataclasses.Field, value: Any) -> None:
+    if isinstance(value, tuple):
+        for one in value:
+            _check_range(law, field, one)
+        return
     if isinstance(value, jax.core.Tracer) or not isinstance(value, (int, float, np.ndarray, jax.Array)):
         return  # inside a transformation: checked when the law was made
     low, high = field.metadata["low"], field.metadata["high"]

@@ -46,6 +46,16 @@ def product(A: Array, B: Array) -> Array:
     return sum(A[..., :, k, None] * B[..., None, k, :] for k in range(3))  # pyright: ignore[reportReturnType]
 
 
+def right_cauchy_green(F: Array) -> Array:
+    """C = F^T F: (..., 3, 3) -> (..., 3, 3)."""
+    return product(jnp.swapaxes(F, -1, -2), F)
+
+
+def along(F: Array, a: Array) -> Array:
+    """F a: (..., 3, 3), (..., 3) -> (..., 3)."""
+    return jnp.sum(F * a[..., None, :], axis=-1)
+
+
 def first_invariant(F: Array) -> Array:
     """I1 = tr(F^T F): (..., 3, 3) -> (...)."""
     return jnp.sum(F * F, axis=(-2, -1))

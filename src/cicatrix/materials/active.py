@@ -1,12 +1,15 @@
-"""Contraction of tissue by its cells."""
+"""Active stress: contraction of tissue by its cells, in all directions or along its fibres."""
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 from jax import Array
 
 from ..core.law import param
 from ..core.tensors import first_invariant
+from .fibres import ORIENTATIONS, stretches
 from .material import EnergyMaterial, State
+from .orientation import Orientation
 
 
 class Contraction(EnergyMaterial):
@@ -28,3 +31,28 @@ class Contraction(EnergyMaterial):
     def energy(self, F: Array, state: State = ()) -> Array:
         """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]; grows when the tissue is stretched against the pull."""
         return 0.5 * self.tension * (first_invariant(F) - 3.0)
+
+
+class ActiveFibres(EnergyMaterial):
+    r"""Cells that pull along fibres.
+
+    .. math:: \sigma_a = \rho \, t_a \, v \otimes v, \qquad \Psi = T \int \rho_\theta \ln \lambda \, d\theta
+
+    Source: Guo, Mofrad & Buganza Tepole, Eq. (17), v the deformed unit direction of the fibres. With cells counted per reference
+    volume, :math:`T = J \rho \, t_a`, that stress is the derivative of this energy for every fibre, so that it composes.
+
+    Parameters
+    ----------
+    tension : float or (...) array [kPa]
+        T: cells per reference volume times the traction of one.
+    orientation : Orientation
+        Directions of the fibres.
+    """
+
+    tension: float | Array = param("kPa", "rho t_a", low=0.0)
+    orientation: Orientation = param("1", "rho_theta", types=ORIENTATIONS)
+
+    def energy(self, F: Array, state: State = ()) -> Array:
+        """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]; grows when the tissue is stretched against the pull."""
+        stretch, weight = stretches(F, self.orientation)
+        return self.tension * jnp.sum(weight * jnp.log(stretch), axis=-1)

@@ -26,6 +26,10 @@ class Sum(EnergyMaterial):
         part, history = self._with(state)[0]
         return part.growth_tensor(history)
 
+    def has_potential(self) -> bool:
+        """Where all parts have one."""
+        return all(part.has_potential() for part in self.parts)
+
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The parts' histories, in order."""
         return tuple(part.initial_state(shape) for part in self.parts)

@@ -36,6 +36,10 @@ class NaturalConfiguration(EnergyMaterial):
         """Volume ratio of the natural configuration (...) [1]."""
         return det(self.F_n) * self.law.volume_at_rest(state)
 
+    def has_potential(self) -> bool:
+        """As the law has."""
+        return self.law.has_potential()
+
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The law's own history."""
         return self.law.initial_state(shape)

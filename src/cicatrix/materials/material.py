@@ -59,6 +59,10 @@ class EnergyMaterial(Law):
         """F_g, reference to grown, of a law that grows (..., 3, 3) [1]; the identity of any other."""
         return jnp.eye(3)
 
+    def has_potential(self) -> bool:
+        """Whether a step of it follows from a potential, so that its tangent is symmetric; that of growth does not."""
+        return True
+
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """No history unless the law says otherwise."""
         return ()
@@ -78,11 +82,24 @@ class EnergyMaterial(Law):
     def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
         """Stress, tangent dP/dF and new history; points are independent, so nine directional derivatives give A."""
 
-        def stress(G: Array) -> Array:
-            return self.stress(G, self.advance(G, state, dt))
+        def stress(G: Array) -> tuple[Array, State]:
+            after = self.advance(G, state, dt)
+            return self.stress(G, after), after
 
         directions = jnp.eye(9).reshape(9, 3, 3)
-        P, along = jax.linearize(stress, F)
+        P, along, after = jax.linearize(stress, F, has_aux=True)
         columns = jax.vmap(lambda d: along(jnp.broadcast_to(d, F.shape)))(directions)
         A = jnp.moveaxis(columns, 0, -1).reshape(*F.shape, 3, 3)
-        return Response(P, A, self.advance(F, state, dt))
+        return Response(P, A, after)
+
+
+def moduli_at_rest(law: EnergyMaterial, shape: tuple[int, ...] = ()) -> tuple[Array, Array]:
+    """Shear and bulk modulus [kPa] of a law where it is free of stress, at points of a shape.
+
+    Those of the tangent there, averaged over all turns of the material: an isotropic law's own. Of a law whose parameters
+    are single numbers the shape may be left out.
+    """
+    side = jnp.broadcast_to(jnp.cbrt(jnp.asarray(law.volume_at_rest(), float)), shape)
+    A = law.response(side[..., None, None] * jnp.eye(3), law.initial_state(shape)).A
+    volumetric, every = jnp.einsum("...iijj->...", A), jnp.einsum("...ijij->...", A)
+    return (3.0 * every - volumetric) / 30.0, volumetric / 9.0

@@ -25,6 +25,7 @@ from .elements import (
     deformation_gradient,
     dilation,
     facet_force,
+    filled_gradient,
     kept_share,
     linearised,
     linearised_reference,
@@ -182,6 +183,11 @@ class Body:
         """The same frame and skin, other tissue; refuses nothing and compiles nothing."""
         return replace(self, law=law, density=density, fraction=fraction)
 
+    @property
+    def has_potential(self) -> bool:
+        """Whether forces follow from one, so that the tangent is symmetric: its law's do, and no pressure acts."""
+        return self.pressure is None and self.law.has_potential()
+
     def under(self, share: float) -> Body:
         """The same body under a share of its pressure."""
         return self if self.pressure is None else replace(self, pressure=share * self.pressure)
@@ -294,6 +300,17 @@ class Body:
         cells = self.frame.space.element_nodes
         W = _energies(self._tables, X[cells], x[cells], self._bulk)
         return np.where(self.fraction[:, None] > 0.0, np.asarray(W), 0.0)
+
+    def law_gradient(self, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """F with its projected volume ratio, as the law sees it -> (n_elements, n_qp, 3, 3) [1]."""
+        cells = self.frame.space.element_nodes
+        return np.asarray(_filled_gradients(self._tables, X[cells], x[cells], self._bulk))
+
+    def inner_force(self, X: np.ndarray, x: np.ndarray) -> float:
+        """Norm of what the elements pull at each node, all in one direction [mN]: the scale of balance where no load is."""
+        zero = np.zeros(3)
+        parts = _forces(self._tables, *self._gather(X, x), self.dilation(X, x), self._bulk, self._membrane, zero)
+        return float(np.linalg.norm(self.frame.scatter([np.abs(part) for part in parts])))
 
     def strain_energy(self, X: np.ndarray, x: np.ndarray) -> float:
         """Strain energy of tissue and skin per depth [uJ/mm = mN]."""
@@ -435,6 +452,11 @@ def _reference_skin_tangents(tables, X_edges, x_edges, membrane):
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _filled_gradients(tables, X_cells, x_cells, bulk):
+    return filled_gradient(X_cells, x_cells, bulk, tables.bulk)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
 def _energies(tables, X_cells, x_cells, bulk):
     return bulk_energy(X_cells, x_cells, bulk, tables.bulk)
 
@@ -451,6 +473,7 @@ KERNELS = (
     _skin_tangents,
     _reference_linearisations,
     _reference_skin_tangents,
+    _filled_gradients,
     _energies,
     _skin_energies,
     _gradients,

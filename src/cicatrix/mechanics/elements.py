@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from ..core.tensors import cofactor, det, inv, product
-from ..materials.material import EnergyMaterial
+from ..materials.material import EnergyMaterial, moduli_at_rest
 from .space import Table
 
 NORMAL = np.array([0.0, 0.0, 1.0])
@@ -84,10 +84,7 @@ def kept_share(law: EnergyMaterial, shape: tuple[int, ...]) -> Array:
     and on the fluctuation about it as it would at 0.499 (the square of this share times itself), which leaves room for the
     gradient of the pressure. docs/decisions/0013 has the measured errors.
     """
-    rest = jnp.broadcast_to(jnp.cbrt(law.volume_at_rest()), shape)[..., None, None] * jnp.eye(3)
-    A = law.response(rest).A
-    volumetric, every = jnp.einsum("...iijj->...", A), jnp.einsum("...ijij->...", A)
-    shear, bulk = (3.0 * every - volumetric) / 30.0, volumetric / 9.0
+    shear, bulk = moduli_at_rest(law, shape)
     return jnp.sqrt(jnp.clip(STIFFEST * shear / bulk, 0.0, 1.0))
 
 
@@ -141,10 +138,15 @@ def dilation(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
     return smoothing.smooth(det(F))
 
 
+def filled_gradient(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
+    """F with the projected volume ratio, as the law sees it: X, x (n, a, 3) [mm] -> (n, n_qp, 3, 3) [1]."""
+    F, smoothing, _ = kinematics(X, x, bulk, table)
+    return dilated(F, smoothing.smooth(det(F)))
+
+
 def bulk_energy(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
     """Strain energy per reference volume at quadrature points: X, x (n, a, 3) [mm] -> (n, n_qp) [kPa]."""
-    F, _, _ = kinematics(X, x, bulk, table)
-    return bulk.law.energy(dilated(F, dilation(X, x, bulk, table)))
+    return bulk.law.energy(filled_gradient(X, x, bulk, table))
 
 
 def point_stress(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array) -> tuple[Array, Array]:

@@ -120,6 +120,8 @@ class Equilibrium:
         by_load = _Path(
             problem.x, lambda x, load: self._newton(self._carried(problem.under(load, x), load, held_at), report)
         )
+        if problem.beside == 0.0 and not gravity.any():
+            problem = replace(problem, beside=body.inner_force(X, problem.x))
         is_gradual = held_at is not None or body.pressure is not None
         paths = [("the unloaded shape", by_load, {"smallest": SMALLEST_STEP / 16 if is_gradual else SMALLEST_STEP})]
         if start is not None:
@@ -135,7 +137,7 @@ class Equilibrium:
             try:
                 return ramp(path.advance, path.reached, report, **steps), report
             except ConvergenceError as error:
-                if number == len(paths) - 1 and body.pressure is not None:
+                if number == len(paths) - 1 and not body.has_potential:
                     raise ConvergenceError(str(error), report.history) from error
         report.history.append("downhill in potential energy from there")
         try:
@@ -411,7 +413,7 @@ class _Problem:
     @property
     def is_symmetric(self) -> bool:
         """Whether the tangent is: forces have a potential, and it is the loaded shape that is looked for."""
-        return not self.inverse and self.body.pressure is None
+        return not self.inverse and self.body.has_potential
 
     def linearised(self, values: np.ndarray, J_bar: np.ndarray, damping: float = 0.0) -> _Tangent:
         """Derivatives by the unknown shape and the volume ratios."""
@@ -424,9 +426,11 @@ class _Problem:
             pullback = Pullback.loaded(self.body, shapes[1])
 
         def near() -> sp.bsr_array:
-            """By the loaded shape, whatever is looked for, and without pressure."""
+            """By the loaded shape, whatever is looked for, and without pressure; the symmetric part."""
             body = replace(self.body, pressure=None)
             matrix, _ = body.linearised(*shapes, J_bar, in_plane=in_plane)
+            if not body.has_potential:
+                matrix = sp.bsr_array(0.5 * (matrix + matrix.T), blocksize=matrix.blocksize)
             return self._pulled_back(matrix, Pullback.loaded(body, shapes[1]))
 
         return _Tangent(self._pulled_back(matrix, pullback), rates, pullback, self, None if self.is_symmetric else near)

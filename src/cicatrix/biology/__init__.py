@@ -1,0 +1,1 @@
+"""Rates at a point: what cells do, one law per file."""

@@ -1,0 +1,63 @@
+"""The mechanical signal of a cell by Moreo, Garcia-Aznar and Doblare."""
+
+from __future__ import annotations
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ..core.errors import InputError
+from ..core.law import Law, param
+
+
+class Moreo(Law):
+    r"""What a cell feels at a strain of its surroundings: its passive stiffness, and its contractile machinery within a range.
+
+    .. math:: p = K_{pass} \, \theta + \begin{cases}
+        \dfrac{K_{act} \, p_{max}}{K_{act} \theta_1 - p_{max}} (\theta_1 - \theta), & \theta_1 < \theta \le \theta^* \\
+        \dfrac{K_{act} \, p_{max}}{K_{act} \theta_2 - p_{max}} (\theta_2 - \theta), & \theta^* < \theta < \theta_2 \end{cases}
+
+    with :math:`\theta^* = p_{max} / K_{act}`, where the contractile part is :math:`p_{max}`. Source: Guo, Mofrad & Buganza
+    Tepole, Eq. (19), after Moreo et al. (2008). It is continuous only where :math:`\theta_1 < \theta^* < \theta_2`, which the
+    print does not ask for; anything else is refused.
+
+    Parameters
+    ----------
+    K_pass, K_act : float or (...) array [kPa]
+        Passive stiffness of the cell, and stiffness of its contractile machinery.
+    p_max : float or (...) array [kPa]
+        Most that the machinery pulls.
+    theta_1, theta_2 : float or (...) array [1]
+        Strains between which it pulls.
+
+    Raises
+    ------
+    InputError
+        With the inequality that does not hold.
+    """
+
+    K_pass: float | Array = param("kPa", "K_pass", low=0.0)
+    K_act: float | Array = param("kPa", "K_act", low=1e-12)
+    p_max: float | Array = param("kPa", "p_max", low=0.0)
+    theta_1: float | Array = param("1", "theta_1")
+    theta_2: float | Array = param("1", "theta_2")
+
+    def __check_init__(self):
+        super().__check_init__()
+        values = (self.theta_1, self.p_max, self.K_act, self.theta_2)
+        if not all(isinstance(value, (int, float, np.ndarray)) for value in values):
+            return  # inside a transformation: checked when the law was made
+        peak = np.divide(self.p_max, self.K_act)
+        for name, low, high in (
+            ("theta_1 < p_max / K_act", self.theta_1, peak),
+            ("p_max / K_act < theta_2", peak, self.theta_2),
+        ):
+            if not np.all(np.less(low, high)):
+                raise InputError(f"Moreo: {name} must hold; got {low} and {high}.")
+
+    def signal(self, strain: Array) -> Array:
+        """p_cell at a strain theta (...) [1] -> (...) [kPa]."""
+        peak = self.p_max / self.K_act
+        rising = (self.theta_1 - strain) / (self.theta_1 - peak)
+        falling = (self.theta_2 - strain) / (self.theta_2 - peak)
+        return self.K_pass * strain + self.p_max * jnp.maximum(jnp.minimum(rising, falling), 0.0)

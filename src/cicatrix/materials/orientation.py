@@ -1,0 +1,171 @@
+"""How fibres are oriented: densities on the circle and on the sphere, and the points at which laws integrate over them.
+
+A fibre along V and one along -V are the same, so densities are even and half the directions do.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ..core.errors import InputError
+from ..core.law import Law, count, param
+from ..core.tensors import IDENTITY
+
+
+class Orientation(Law):
+    """A distribution of directions."""
+
+    def directions(self) -> tuple[Array, Array]:
+        """Unit vectors (..., n, 3) and weights (..., n) that add up to 1."""
+        raise NotImplementedError
+
+    def finer(self, factor: int) -> Orientation:
+        """The same density at ``factor`` times the directions per turn."""
+        return self
+
+    @property
+    def n_directions(self) -> int:
+        """How many directions there are."""
+        return self.directions()[1].shape[-1]
+
+
+class Single(Orientation):
+    """All fibres along one direction in the plane of the first two axes.
+
+    Parameters
+    ----------
+    mean : float or (...) array [rad]
+        Angle about the first axis.
+    """
+
+    mean: float | Array = param("rad", "theta_0", low=-2.0 * np.pi, high=2.0 * np.pi, default=0.0, typed="deg")
+
+    def directions(self) -> tuple[Array, Array]:
+        """One, (..., 1, 3), of weight 1."""
+        mean = jnp.asarray(self.mean, float)[..., None]
+        V = jnp.stack([jnp.cos(mean), jnp.sin(mean), jnp.zeros_like(mean)], axis=-1)
+        return V, jnp.ones(V.shape[:-1])
+
+
+class VonMises(Orientation):
+    r"""Fibres in the plane of the first two axes.
+
+    .. math:: \rho(\theta) = \frac{e^{c \cos 2 (\theta - \theta_0)}}{\pi I_0(c)}, \qquad \int_0^\pi \rho \, d\theta = 1
+
+    Source: rho of Guo, Mofrad & Buganza Tepole, Eq. (4), of this form. Equal angles make the trapezoidal rule of a
+    periodic function: what it leaves of a smooth one falls exponentially with their number.
+
+    Parameters
+    ----------
+    concentration : float or (...) array [1]
+        c; 0 in all directions alike.
+    mean : float or (...) array [rad]
+        Mean direction about the first axis.
+    n_angles : int
+        Directions.
+    """
+
+    concentration: float | Array = param("1", "c", low=0.0, high=500.0)
+    mean: float | Array = param("rad", "theta_0", low=-2.0 * np.pi, high=2.0 * np.pi, default=0.0, typed="deg")
+    n_angles: int = count("n", low=2, high=4096, default=40)
+
+    def finer(self, factor: int) -> VonMises:
+        """With ``factor`` times as many."""
+        return dataclasses.replace(self, n_angles=factor * self.n_angles)
+
+    def directions(self) -> tuple[Array, Array]:
+        """(..., n_angles, 3), (..., n_angles); angles turn with the mean."""
+        angles = jnp.pi * jnp.arange(self.n_angles) / self.n_angles
+        c, mean = jnp.asarray(self.concentration, float)[..., None], jnp.asarray(self.mean, float)[..., None]
+        weight = jnp.exp(c * (jnp.cos(2.0 * angles) - 1.0))
+        theta = mean + angles
+        V = jnp.stack([jnp.cos(theta), jnp.sin(theta), jnp.zeros_like(theta)], axis=-1)
+        return V, weight / weight.sum(axis=-1, keepdims=True)
+
+
+class Fisher(Orientation):
+    r"""Fibres about an axis in space, by von Mises and Fisher's density made even.
+
+    .. math:: \rho(V) = \frac{c \cosh(c \, V \cdot a)}{4 \pi \sinh c}
+
+    Parameters
+    ----------
+    concentration : float or (...) array [1]
+        c; 0 in all directions alike.
+    axis : 3 numbers [1]
+        a, of any length.
+    n_heights : int
+        Gauss points along the axis, on half a sphere; twice as many angles about it.
+    """
+
+    concentration: float | Array = param("1", "c", low=0.0, high=500.0)
+    axis: tuple[float, ...] = param("1", "a", default=(1.0, 0.0, 0.0), static=True)
+    n_heights: int = count("n", low=2, high=256, default=12)
+
+    def finer(self, factor: int) -> Fisher:
+        """With ``factor`` times as many."""
+        return dataclasses.replace(self, n_heights=factor * self.n_heights)
+
+    def directions(self) -> tuple[Array, Array]:
+        """(2 n^2, 3), (..., 2 n^2)."""
+        V, area = _half_sphere(_frame(self.axis), self.n_heights)
+        c, along = jnp.asarray(self.concentration, float)[..., None], V @ _frame(self.axis)[:, 2]
+        weight = area * 0.5 * (jnp.exp(c * (along - 1.0)) + jnp.exp(-c * (along + 1.0)))
+        return jnp.asarray(V), weight / weight.sum(axis=-1, keepdims=True)
+
+
+class Bingham(Orientation):
+    r"""Fibres in space by Bingham's density, with three planes of symmetry.
+
+    .. math:: \rho(V) \propto e^{c_1 V_1^2 + c_2 V_2^2}
+
+    Components are those along the first two axes of the body. Equal large numbers lay fibres into their plane, one
+    large number lays them along its axis.
+
+    Parameters
+    ----------
+    c1, c2 : float or (...) array [1]
+        Concentrations.
+    n_heights : int
+        Gauss points along the third axis, on half a sphere; twice as many angles about it.
+    """
+
+    c1: float | Array = param("1", "c_1", low=-100.0, high=100.0)
+    c2: float | Array = param("1", "c_2", low=-100.0, high=100.0)
+    n_heights: int = count("n", low=2, high=256, default=12)
+
+    def finer(self, factor: int) -> Bingham:
+        """With ``factor`` times as many."""
+        return dataclasses.replace(self, n_heights=factor * self.n_heights)
+
+    def directions(self) -> tuple[Array, Array]:
+        """(2 n^2, 3), (..., 2 n^2)."""
+        V, area = _half_sphere(np.asarray(IDENTITY), self.n_heights)
+        c1, c2 = (jnp.asarray(c, float)[..., None] for c in (self.c1, self.c2))
+        largest = jnp.maximum(jnp.maximum(c1, c2), 0.0)
+        weight = area * jnp.exp(c1 * V[:, 0] ** 2 + c2 * V[:, 1] ** 2 - largest)
+        return jnp.asarray(V), weight / weight.sum(axis=-1, keepdims=True)
+
+
+def _frame(axis: tuple[float, ...]) -> np.ndarray:
+    """Orthonormal columns, the third along the axis."""
+    a = np.asarray(axis, float)
+    if a.shape != (3,) or not np.linalg.norm(a) > 0.0:
+        raise InputError(f"Fisher.axis must be three numbers that are not all 0; got {list(axis)}.")
+    q, _ = np.linalg.qr(np.column_stack([a, np.eye(3)[np.argsort(np.abs(a))[:2]].T]))
+    return np.column_stack([q[:, 1], q[:, 2], a / np.linalg.norm(a)])
+
+
+def _half_sphere(frame: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (2 n^2, 3) of half a sphere about the frame's third column, and their areas."""
+    x, w = np.polynomial.legendre.leggauss(n)
+    height, w = 0.5 * (x + 1.0), 0.5 * w
+    angle = np.pi * (np.arange(2 * n) + 0.5) / n
+    h, a = (grid.ravel() for grid in np.meshgrid(height, angle, indexing="ij"))
+    across = np.sqrt(1.0 - h * h)
+    local = np.stack([across * np.cos(a), across * np.sin(a), h], axis=1)
+    return local @ frame.T, np.repeat(w, 2 * n) / (2 * n)

@@ -1,0 +1,113 @@
+"""Laws with history in bodies: a homogeneous cube is a material point, in sections and solids, and goes on to the same bits."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+
+from cicatrix.core.units import acceleration_mm_s2
+from cicatrix.materials.compose import Sum
+from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
+from cicatrix.materials.growing import FibreGrowth, Growing
+from cicatrix.materials.neo_hookean import NeoHookean
+from cicatrix.materials.orientation import VonMises
+from cicatrix.materials.viscoelastic import Viscoelastic
+from cicatrix.materials.waviness import Uniform
+from cicatrix.mechanics.body import COMPILER
+from cicatrix.mechanics.equilibrium import Equilibrium
+from cicatrix.mechanics.march import Load, march, virgin
+from cicatrix.study.equilibrium import solid_body
+
+GROUND = NeoHookean(2.0, 100.0)
+ORIENTATION = VonMises(2.0, 0.5, 8)
+LAWS = {
+    "viscoelastic": Viscoelastic(GROUND, (0.5,), (2.0,)),
+    "viscous fibres": Sum(
+        (GROUND, FibreDistribution(3.0, ORIENTATION, Uniform(1.0, 1.3), FibreViscosity(0.5, 2.0, 3)))
+    ),
+    "growing": Growing(GROUND, FibreGrowth(5.0, None, ORIENTATION)),
+}
+GRAVITY = acceleration_mm_s2(np.array([0.0, -9.81, 0.0]))
+TIMES = (0.0, 1.0, 3.0)
+step = jax.jit(lambda law, F, state, dt: law.response(F, state, dt), compiler_options=COMPILER)
+
+
+def cube(law, is_fixed):
+    """Eight corners and a node in the middle, twelve tetrahedra about it, 10 mm: (body, its own nodes)."""
+    corner = 10.0 * np.array([[i, j, k] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    points = np.vstack([corner, [[4.0, 5.5, 5.2]]])
+    quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    cells = np.array([(*t, 8) for a, b, c, d in quads for t in ((a, b, c), (a, c, d))])
+    turned = np.linalg.det(points[cells[:, 1:]] - points[cells[:, :1]]) < 0
+    cells[turned] = cells[turned][:, [1, 0, 2, 3]]
+    n = len(cells)
+    body = solid_body(points, cells, is_fixed(points), np.ones(n), np.full(n, 0.3), np.full(n, 1e-6))
+    return replace(body, law=law)
+
+
+def path(k):
+    """Deformation gradient of the whole cube at each time."""
+    return np.eye(3) + k * np.array([[0.08, 0.05, 0.0], [0.0, -0.03, 0.02], [0.0, 0.0, -0.02]])
+
+
+@pytest.mark.parametrize("name", LAWS)
+def test_a_homogeneous_cube_is_a_material_point(name):
+    """All its surface moved alike: the node inside follows, and history and stress are those of a point."""
+    law = LAWS[name]
+    body = cube(law, lambda points: np.arange(len(points)) < 8)
+    X = body.frame.space.positions
+    loads = [Load(t, np.zeros(3), held_at=X @ path(k).T) for k, t in enumerate(TIMES, 1)]
+    state, before = law.initial_state(()), 0.0
+    for k, moment in enumerate(march(body, X, loads, virgin(body, X), Equilibrium(1e-12)), 1):
+        answer = step(law, path(k), state, moment.time - before)
+        np.testing.assert_allclose(moment.x, X @ path(k).T, atol=1e-10)
+        state, before = answer.state, moment.time
+        for found, expected in zip(jax.tree.leaves(moment.state), jax.tree.leaves(state), strict=True):
+            np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-10)
+        P = law.stress(body.law_gradient(X, moment.x), moment.state)
+        np.testing.assert_allclose(P, np.broadcast_to(answer.P, P.shape), atol=1e-10 * np.abs(answer.P).max())
+
+
+def test_viscous_tissue_sags_on_and_stops_at_its_law():
+    """Stiffer by its branch at once, long after as soft as the law alone; meanwhile it turns work into heat."""
+    law = LAWS["viscoelastic"]
+    body = cube(law, lambda points: points[:, 1] > 9.9)
+    body = replace(body, density=2e-3 * np.ones_like(body.density))
+    X = body.frame.space.positions
+    solver = Equilibrium(1e-10)
+    loads = [Load(t, GRAVITY) for t in (0.0, 0.5, 2.0, 1e8)]
+    moments = list(march(body, X, loads, virgin(body, X), solver))
+    sag = [np.linalg.norm(m.x - X, axis=1).max() for m in moments]
+    assert sag == sorted(sag)
+    elastic, _ = solver.loaded(replace(body, law=law.law), X, GRAVITY)
+    np.testing.assert_allclose(moments[-1].x, elastic, atol=1e-7)
+    heat = [m.heat for m in moments]
+    assert heat == sorted(heat)
+    assert heat[-1] > 0.0
+
+
+@pytest.mark.parametrize("name", ["viscous fibres", "growing"])
+def test_newton_converges_fast_under_gravity(name):
+    """The consistent tangent: few iterations in a step of any length, symmetric or not."""
+    body = cube(LAWS[name], lambda points: points[:, 1] > 9.9)
+    body = replace(body, density=1e-3 * np.ones_like(body.density))
+    X = body.frame.space.positions
+    loads = [Load(t, GRAVITY) for t in (0.0, 1.0, 10.0)]
+    _, *moments = march(body, X, loads, virgin(body, X), Equilibrium(1e-9))
+    assert all(moment.report.iterations <= 8 for moment in moments)
+
+
+def test_it_goes_on_from_a_moment_to_the_same_bits():
+    body = cube(LAWS["growing"], lambda points: points[:, 1] > 9.9)
+    body = replace(body, density=1e-3 * np.ones_like(body.density))
+    X = body.frame.space.positions
+    loads = [Load(t, GRAVITY) for t in (0.0, 1.0, 3.0)]
+    solver = Equilibrium(1e-9)
+    one = list(march(body, X, loads[:2], virgin(body, X), solver))
+    kept = solver.kept()
+    (straight,) = march(body, X, loads[2:], one[-1], solver)
+    other = Equilibrium(1e-9)
+    other.restore(body.frame, kept)
+    (again,) = march(body, X, loads[2:], one[-1], other)
+    assert (again.x == straight.x).all()
