@@ -36,6 +36,10 @@ class NaturalConfiguration(EnergyMaterial):
         """Volume ratio of the natural configuration (...) [1]."""
         return det(self.F_n) * self.law.volume_at_rest(state)
 
+    def growth_tensor(self, state: State = ()) -> Array:
+        """What the law has grown to from its natural configuration, after that: F = F_e F_g F_n."""
+        return product(self.law.growth_tensor(state), self.F_n)
+
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The law's own history."""
         return self.law.initial_state(shape)
