@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -27,6 +28,16 @@ def param(
     is ``typed`` there ("h" of a time in s, "deg" of an angle in rad), that of the law if nothing is said.
     """
     metadata = {"unit": unit, "symbol": symbol, "low": low, "high": high, "typed": typed or unit}
+    return (
+        eqx.field(metadata=metadata)
+        if default is dataclasses.MISSING
+        else eqx.field(metadata=metadata, default=default)
+    )
+
+
+def choice(types: Mapping[str, type], *, default: Any = dataclasses.MISSING) -> Any:
+    """Declare a part of a law that may be of several types; a case file names one by ``type`` in an inline table."""
+    metadata = {"types": dict(types)}
     return (
         eqx.field(metadata=metadata)
         if default is dataclasses.MISSING
