@@ -17,7 +17,8 @@ from cicatrix.materials.compose import Sum
 from cicatrix.materials.growth import NaturalConfiguration
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.mechanics.point import compiled_step, control, history
+from cicatrix.mechanics import point_walk
+from cicatrix.mechanics.point import control, history
 from cicatrix.mechanics.point_walk import instants, lead, walk
 
 MU = 2.0
@@ -182,7 +183,7 @@ def exact_relaxation(l, t):
 
 def test_relaxation_converges_with_first_order():
     errors = []
-    for n in (50, 100, 200):
+    for n in (100, 200):
         asked, points = relaxed(n)
         errors.append(np.abs(points.stress[:, 0, 0] - exact_relaxation(1.3, asked.time)).max())
     assert points.converged.all()
@@ -307,10 +308,10 @@ def test_many_points_at_once():
 
 
 def test_a_step_is_compiled_once_per_kind_of_law():
-    compiled_step.clear_cache()
+    point_walk._tried.clear_cache()
     for mu, words in ((1.0, ("stretch", "stress")), (3.0, ("stress", "stress"))):
         lead(NeoHookean(mu), control(*words), ramp([1.0, 0, 0], [1.1, 0, 0], n=2))
-    assert compiled_step._cache_size() <= 2  # numbers typed in Python, and arrays of JAX
+    assert point_walk._tried._cache_size() == 1
 
 
 class Yielding(EnergyMaterial):

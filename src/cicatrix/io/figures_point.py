@@ -9,6 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 COLOURS = {"x": "#0072b2", "y": "#d55e00", "z": "#009e73"}
+LINES = {"x": "-", "y": "-", "z": "--"}  # z is drawn over y, which it often equals
 HEAT, STORED = "#cc79a7", "#000000"
 ARROWS = 5  # along a path
 
@@ -35,10 +36,11 @@ def histories_figure(history: Mapping[str, np.ndarray], grows: bool) -> Figure:
     axes = figure.subplots(2, 2, sharex=True).ravel()
     time = history["time_h"]
     for axis, colour in COLOURS.items():
-        axes[0].plot(time, history[f"lambda_{axis}"], color=colour, label=f"$\\lambda_{axis}$")
-        axes[1].plot(time, history[f"sigma_{axis}_kPa"], color=colour, label=f"$\\sigma_{axis}$")
+        style = {"color": colour, "linestyle": LINES[axis]}
+        axes[0].plot(time, history[f"lambda_{axis}"], label=f"$\\lambda_{axis}$", **style)
+        axes[1].plot(time, history[f"sigma_{axis}_kPa"], label=f"$\\sigma_{axis}$", **style)
         if grows:
-            axes[2].plot(time, history[f"growth_{axis}"], color=colour, label=f"$F_{{g,{axis}{axis}}}$")
+            axes[2].plot(time, history[f"growth_{axis}"], label=f"$F_{{g,{axis}{axis}}}$", **style)
     if np.ptp(history["shear"]) > 0.0:
         axes[0].plot(time, history["shear"] + 1.0, color=HEAT, label="1 + shear $F_{xy}$")
         axes[1].plot(time, history["sigma_xy_kPa"], color=HEAT, label="$\\sigma_{xy}$")
@@ -57,7 +59,7 @@ def histories_figure(history: Mapping[str, np.ndarray], grows: bool) -> Figure:
         ax.set_ylabel(name)
         ax.set_xlabel("time [h]" if number > 1 else "")
         _dress(ax)
-        ax.legend(fontsize=8)
+        ax.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=4, frameon=False)
     return figure
 
 

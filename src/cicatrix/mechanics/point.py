@@ -101,7 +101,7 @@ def deformation(unknowns: Array, shear: Array) -> Array:
 def step(law: EnergyMaterial, control: Control, before: Point, asked: Instant) -> Point:
     """Go from a point to the next instant: implicit in the law's history, differentiable in everything once.
 
-    Compiled by the caller (:data:`compiled_step`); see ``converged`` of what comes back.
+    To be compiled by the caller; ``converged`` of what comes back tells of failure.
     """
     start = jnp.where(jnp.append(control.by_stress, True), before.unknowns, jnp.append(asked.value, 0.0))
     found, J, converged = _newton(*jax.lax.stop_gradient((law, control, before, asked, start)))
@@ -113,9 +113,6 @@ def step(law: EnergyMaterial, control: Control, before: Point, asked: Instant) -
     growth = law.growth_tensor(state) + jnp.zeros((3, 3))
     energy = law.energy(F, state)
     return Point(asked.time, unknowns, asked.shear, state, stress, energy, heat, growth, converged)
-
-
-compiled_step = jax.jit(step)
 
 
 def history(law: EnergyMaterial, control: Control, instants: Instant) -> Point:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -15,7 +15,7 @@ from jax import Array
 from ..core.errors import ConvergenceError
 from ..core.units import hours_from_seconds
 from ..materials.material import EnergyMaterial
-from .point import Control, Instant, Point, compiled_step, control, virgin
+from .point import Control, Instant, Point, control, step, virgin
 
 PARTS = 4096  # of an asked step: the smallest one that is tried
 QUIET = 0.125  # share of the bound below which a step of twice the size is tried: its error is four times as large
@@ -115,7 +115,7 @@ def walk(
     if mark is None:
         first = _row(asked, 0)
         origin = virgin(law, first)
-        rest = Instant(first.time, np.where(by.by_stress, 0.0, np.asarray(origin.stretch)), np.zeros(()))
+        rest = Instant(first.time, np.where(by.by_stress, 0.0, origin.stretch), np.float64(0.0))
         mark = strider.cross(Mark(origin, -1, largest=_modulus(law, origin) * SMALLEST_STRAIN), rest, first)
         yield mark
     for row in range(mark.row, len(asked.time) - 1):
@@ -163,18 +163,31 @@ class _Strider:
         self, point: Point, start: Instant, end: Instant, at: int, size: int, largest: float
     ) -> tuple[Point, list[Instant], float]:
         """Go by so many parts: where to, through which instants, and the error, infinite where there is no solution."""
-        target = _between(start, end, at + size)
-        whole = compiled_step(self.law, self.by, point, target)
-        if not whole.converged:
-            return whole, [], np.inf
+        middle, target = _between(start, end, at + 0.5 * size), _between(start, end, at + size)
+        whole, both, whole_found, both_found, error = _tried(self.law, self.by, point, middle, target, largest)
         if end.time == start.time or not jax.tree.leaves(point.state):
-            return whole, [target], 0.0
-        middle = _between(start, end, at + 0.5 * size)
-        half = compiled_step(self.law, self.by, point, middle)
-        both = compiled_step(self.law, self.by, half, target)
-        if not (half.converged and both.converged):
-            return both, [], np.inf
-        return both, [middle, target], _difference(whole, both, largest)
+            return whole, [target], 0.0 if whole_found else np.inf
+        return both, [middle, target], float(error) if both_found else np.inf
+
+
+@jax.jit
+def _tried(law: EnergyMaterial, by: Control, before: Point, middle: Instant, target: Instant, largest: Array):
+    """A step done whole and in halves, in one loop so that the law is compiled once.
+
+    Returns where the whole one and the halves lead, whether each was found, and how far they differ [1], stresses relative
+    to the largest.
+    """
+
+    def one(previous: Point, item: tuple[Instant, Array]) -> tuple[Point, Point]:
+        asked, goes_on = item
+        start = jax.tree.map(lambda new, old: jnp.where(goes_on, new, old), previous, before)
+        after = step(law, by, start, asked)
+        return after, after
+
+    asked = jax.tree.map(lambda a, b: jnp.stack([b, a, b]), middle, target)
+    done = jax.lax.scan(one, before, (asked, jnp.array([False, False, True])))[1]
+    whole, both = _row(done, 0), _row(done, 2)
+    return whole, both, whole.converged, jnp.all(done.converged), _difference(whole, both, largest)
 
 
 def _between(start: Instant, end: Instant, parts: float) -> Instant:
@@ -183,18 +196,17 @@ def _between(start: Instant, end: Instant, parts: float) -> Instant:
     return jax.tree.map(lambda a, b: a + (b - a) * (parts / PARTS), start, end)
 
 
-def _difference(a: Point, b: Point, largest: float) -> float:
-    """How far two points differ [1], stresses relative to the largest so far."""
-    scale = max(largest, float(np.abs(b.stress).max())) or 1.0
-    pairs = ((a.stretch, b.stretch, 1.0), (a.growth, b.growth, 1.0), (a.stress, b.stress, scale))
-    error = max(float(np.abs(np.subtract(one, other)).max()) / size for one, other, size in pairs)
-    return error if math.isfinite(error) else math.inf
+def _difference(a: Point, b: Point, largest: Array) -> Array:
+    scale = jnp.maximum(largest, jnp.max(jnp.abs(b.stress)))
+    stresses = (a.stress - b.stress) / jnp.where(scale > 0.0, scale, 1.0)
+    parts = (a.stretch - b.stretch, a.growth - b.growth, stresses)
+    return jnp.max(jnp.stack([jnp.max(jnp.abs(part)) for part in parts]))
 
 
 def _modulus(law: EnergyMaterial, origin: Point) -> float:
     """Shear modulus of the virgin law [kPa], by a small shear at the stretches that it starts from."""
-    small = Instant(origin.time, origin.stretch, jnp.array(SMALL_SHEAR))
-    sheared = compiled_step(law, control(z="stretch", incompressible=False), origin, small)
+    small = Instant(np.asarray(origin.time), np.asarray(origin.stretch), np.float64(SMALL_SHEAR))
+    sheared = _tried(law, control(z="stretch", incompressible=False), origin, small, small, 0.0)[0]
     return float(np.nan_to_num(np.abs(sheared.stress[0, 1]) / SMALL_SHEAR))
 
 
@@ -213,8 +225,8 @@ def _stopped(by: Control, last: Point, asked: Instant) -> ConvergenceError:
     )
 
 
-def _row(asked: Instant, row: int) -> Instant:
-    return jax.tree.map(lambda column: column[row], asked)
+def _row(stacked: Any, row: int) -> Any:
+    return jax.tree.map(lambda column: column[row], stacked)
 
 
 def _stacked(items: Sequence) -> Array:
