@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -20,18 +21,15 @@ def param(
     high: float = np.inf,
     default: Any = dataclasses.MISSING,
     typed: str | None = None,
-    types: Any = None,
     static: bool = False,
 ) -> Any:
     """Declare a parameter of a law: its unit, symbol and closed range.
 
     The value is a number or an array of one number per point; ``static`` ones are numbers, and not differentiable. A case
     file's key is the field's name and the unit that is ``typed`` there ("h" of a time in s, "deg" of an angle in rad), that
-    of the law if nothing is said. A parameter that is a law itself may be one of several: ``types``, classes by the
-    ``type`` that a case file gives them.
+    of the law if nothing is said.
     """
     metadata = {"unit": unit, "symbol": symbol, "low": low, "high": high, "typed": typed or unit}
-    metadata |= {"types": types} if types else {}
     given = {} if default is dataclasses.MISSING else {"default": default}
     return eqx.field(static=static, metadata=metadata, **given)
 
@@ -40,6 +38,16 @@ def count(symbol: str, *, low: int, high: int, default: int) -> Any:
     """Declare a whole number that says how finely a law integrates: not differentiable, the same at all points."""
     metadata = {"unit": "1", "symbol": symbol, "low": low, "high": high, "typed": "1"}
     return eqx.field(static=True, metadata=metadata, default=default)
+
+
+def choice(types: Mapping[str, type], *, default: Any = dataclasses.MISSING) -> Any:
+    """Declare a part of a law that may be of several types; a case file names one by ``type`` in an inline table."""
+    metadata = {"types": dict(types)}
+    return (
+        eqx.field(metadata=metadata)
+        if default is dataclasses.MISSING
+        else eqx.field(metadata=metadata, default=default)
+    )
 
 
 class Law(eqx.Module):

@@ -6,6 +6,7 @@ counted in days. Every function takes a number or an array and returns the same.
 
 from __future__ import annotations
 
+import math
 from typing import TypeVar
 
 import numpy as np
@@ -60,6 +61,16 @@ def hours_from_days(time_days: Value) -> Value:
     return time_days * HOURS_PER_DAY
 
 
+def seconds_from_hours(time_hours: Value) -> Value:
+    """Time: [h] -> [s]."""
+    return time_hours * 3600.0
+
+
+def hours_from_seconds(time_s: Value) -> Value:
+    """Time: [s] -> [h]."""
+    return time_s / 3600.0
+
+
 def days_from_weeks(time_weeks: Value) -> Value:
     """Time: [weeks] -> [days]."""
     return time_weeks * DAYS_PER_WEEK
@@ -73,3 +84,21 @@ def weeks_from_days(time_days: Value) -> Value:
 def ml_from_mm3(volume_mm3: Value) -> Value:
     """Volume: [mm3] -> [ml]."""
     return volume_mm3 * 1e-3
+
+
+INNER_PER_TYPED = {  # (typed in a case file, inside a law): how much of the second one of the first is
+    ("min", "s"): 60.0,
+    ("h", "s"): 3600.0,
+    ("d", "s"): 86_400.0,
+    ("1/h", "1/s"): 1.0 / 3600.0,
+    ("1/d", "1/s"): 1.0 / 86_400.0,
+    ("um", "mm"): 1e-3,
+    ("Pa", "kPa"): 1e-3,
+    ("MPa", "kPa"): 1e3,
+    ("deg", "rad"): math.pi / 180.0,
+}
+
+
+def inner_per_typed(typed: str, inner: str) -> float:
+    """How much of a law's own unit one of the unit typed for it in a case file is; 1 for equal units."""
+    return 1.0 if typed == inner else INNER_PER_TYPED[typed, inner]

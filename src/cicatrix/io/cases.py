@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from pydantic import ValidationError
 
@@ -16,19 +17,23 @@ from ..core.errors import InputError
 from ..study.automaton_case import AutomatonCase
 from ..study.case import LumpectomyCase, Table
 from ..study.equilibrium_case import EquilibriumCase
+from ..study.laws import tag_of
 from ..study.limits import FAULT, OUT_OF_RANGE
+from ..study.point_case import PointCase
 from .paths import input_path
 
-Case = LumpectomyCase | AutomatonCase | EquilibriumCase
+Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase
 KINDS: dict[str, type[Case]] = {
     "lumpectomy": LumpectomyCase,
     "automaton": AutomatonCase,
     "equilibrium": EquilibriumCase,
+    "material-point": PointCase,
 }
 FILES = {  # table and key of everything that names a file
     "lumpectomy": (("image", "path"), ("image", "labels")),
     "automaton": (("lattice", "fillable"), ("wound", "mask"), ("cue", "W")),
     "equilibrium": (("body", "mesh"),),
+    "material-point": (),
 }
 
 TYPE_WORDS = {
@@ -89,7 +94,7 @@ def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[st
     raw : mapping
         Tables as read from TOML; not changed.
     overrides : sequence of str
-        Settings, such as ``run.seed=3``; later ones win.
+        Settings, such as ``run.seed=3``, or ``law.0.mu_kPa=2`` for the first table of a list; later ones win.
 
     Raises
     ------
@@ -99,9 +104,10 @@ def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[st
     tables = _copy(raw)
     for setting in overrides:
         key, equals, text = setting.partition("=")
-        if not equals or not all(part.strip() for part in key.split(".")):
+        names = [part.strip() for part in re.sub(r"\[(\d+)\]", r".\1", key).split(".")]
+        if not equals or not all(names):
             raise InputError(f"--set {setting}: must read key.path=value, such as run.seed=3")
-        _put(tables, [part.strip() for part in key.split(".")], _toml_value(text.strip()), setting)
+        _put(tables, names, _toml_value(text.strip()), setting)
     return tables
 
 
@@ -180,6 +186,8 @@ def _sentence(error: Mapping[str, Any], kind: type[Table]) -> str:
     loc, name, value = error["loc"], error["type"], error["input"]
     context = error.get("ctx", {})
     key = _dotted(loc)
+    if name == "union_tag_invalid":
+        return _unknown_type(key, value, context["expected_tags"])
     if name == FAULT:
         return f"{_dotted((*loc, context['key']))} {context['sentence']}"
     if name == "extra_forbidden":
@@ -195,24 +203,35 @@ def _sentence(error: Mapping[str, Any], kind: type[Table]) -> str:
     return f"{key} {words}; got {_show(value)}"
 
 
+def _unknown_type(key: str, value: Any, tags: str) -> str:
+    """Say which types there are where a table names none of them."""
+    if not isinstance(value, Mapping):
+        return f"{key} must be a table; got {_show(value)}"
+    known = _either([tag.strip("'<>") for tag in tags.split(", ") if tag.strip("'<>")])
+    found = f"got {_show(value['type'])}" if "type" in value else "it is missing"
+    return f"{key}.type must be {known}; {found}"
+
+
 def _unknown_key(loc: Sequence[str | int], kind: type[Table]) -> str:
     """Name the nearest known key: first in the same table, then the same name in another one."""
     key, known = _dotted(loc), _known_keys(kind)
-    prefix = key.rpartition(".")[0]
-    siblings = [name for name in known if name.rpartition(".")[0] == prefix]
-    leaf = key.rpartition(".")[2]
-    by_leaf = {name.rpartition(".")[2].lower(): name for name in siblings}
-    near = difflib.get_close_matches(leaf.lower(), by_leaf, n=1)
+    prefix = _dotted(loc[:-1])
+    siblings = list(dict.fromkeys(name for table in _tables_at(loc[:-1], kind) for name in table.model_fields))
+    leaf, start = str(loc[-1]), f"{prefix}." if prefix else ""
+    by_leaf = {name.lower(): name for name in siblings}
+    without_unit = [name for name in by_leaf if name.startswith(f"{leaf.lower()}_")]
+    near = without_unit[:1] or difflib.get_close_matches(leaf.lower(), by_leaf, n=1)
     if near:
-        return f"{key} is not a known key; did you mean {by_leaf[near[0]]}?"
+        return f"{key} is not a known key; did you mean {start}{by_leaf[near[0]]}?"
     elsewhere = [name for name in known if name.rpartition(".")[2] == leaf]
     if elsewhere:
         return f"{key} is not a known key; did you mean {' or '.join(elsewhere)}?"
     where = f"[{prefix}]" if prefix else "the file"
-    return f"{key} is not a known key; known in {where}: {', '.join(name.rpartition('.')[2] for name in siblings)}"
+    return f"{key} is not a known key; known in {where}: {', '.join(siblings)}"
 
 
 def _known_keys(table: type[Table], prefix: str = "") -> list[str]:
+    """Dotted keys of a table and those below it; of lists of tables, which may hold their like, the name alone."""
     names: list[str] = []
     for name, field in table.model_fields.items():
         names.append(prefix + name)
@@ -222,8 +241,28 @@ def _known_keys(table: type[Table], prefix: str = "") -> list[str]:
     return names
 
 
+def _tables_at(loc: Sequence[str | int], kind: type[Table]) -> list[type[Table]]:
+    """The types that the table at a place may have; one where the place has the tag of its type."""
+    found: list[type[Table]] = [kind]
+    for part in loc:
+        if isinstance(part, str) and part.startswith("<"):
+            found = [table for table in found if part == tag_of(*get_args(table.model_fields["type"].annotation))]
+        elif isinstance(part, str):
+            fields = [table.model_fields[part] for table in found if part in table.model_fields]
+            found = [table for field in fields for table in _tables_in(field.annotation)]
+    return found
+
+
+def _tables_in(annotation: Any) -> list[type[Table]]:
+    if isinstance(annotation, type) and issubclass(annotation, Table):
+        return [annotation]
+    return [table for part in get_args(annotation) for table in _tables_in(part)]
+
+
 def _dotted(loc: Sequence[str | int]) -> str:
-    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc).lstrip(".")
+    """A place as it is written; the tags of types in it are not."""
+    parts = [part for part in loc if not str(part).startswith("<")]
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")
 
 
 def _show(value: Any) -> str:
@@ -238,9 +277,9 @@ def _show(value: Any) -> str:
     return str(value)
 
 
-def _either(names: Mapping[str, Any]) -> str:
+def _either(names: Iterable[str]) -> str:
     *some, last = (f'"{name}"' for name in names)
-    return f"{', '.join(some)} or {last}"
+    return f"{', '.join(some)} or {last}" if some else last
 
 
 def _toml_value(text: str) -> Any:
@@ -262,7 +301,23 @@ def _copy(value: Any) -> Any:
 
 def _put(tables: dict[str, Any], names: list[str], value: Any, setting: str) -> None:
     for depth, name in enumerate(names[:-1]):
+        if name in tables and isinstance(tables[name], list):
+            return _put_in_list(tables[name], names[depth:], value, setting)
         tables = tables.setdefault(name, {})
         if not isinstance(tables, dict):
             raise InputError(f"--set {setting}: {'.'.join(names[: depth + 1])} is not a table")
     tables[names[-1]] = value
+    return None
+
+
+def _put_in_list(items: list[Any], names: list[str], value: Any, setting: str) -> None:
+    """Go on in a list: ``names`` are its own name, a number from 0, and what is below."""
+    name, number, *below = names
+    if not number.isdecimal() or int(number) >= len(items):
+        raise InputError(f"--set {setting}: {name} is a list; name one of 0 to {len(items) - 1}, such as {name}.0")
+    if not below:
+        items[int(number)] = value
+    elif isinstance(items[int(number)], dict):
+        _put(items[int(number)], below, value, setting)
+    else:
+        raise InputError(f"--set {setting}: {name}.{number} is not a table")

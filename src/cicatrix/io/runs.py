@@ -19,6 +19,7 @@ RUNS = {
     "lumpectomy": (".lumpectomy_run", "LumpectomyRun"),
     "automaton": (".automaton_run", "AutomatonRun"),
     "equilibrium": (".equilibrium_run", "EquilibriumRun"),
+    "material-point": (".point_run", "PointRun"),
 }
 FOLLOWERS = {  # what the other ranks of several do
     "automaton": (".automaton_run", "follow"),
@@ -33,7 +34,7 @@ def simulate(
 
     Parameters
     ----------
-    case : LumpectomyCase, AutomatonCase or EquilibriumCase
+    case : LumpectomyCase, AutomatonCase, EquilibriumCase or PointCase
         What to run.
     out : str or Path, optional
         The run's folder; without it nothing is kept on disk.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from ..core.law import param
+from ..core.law import choice, param
 from ..core.tensors import first_invariant
 from .fibres import ORIENTATIONS, stretches
 from .material import EnergyMaterial, State
@@ -50,7 +50,7 @@ class ActiveFibres(EnergyMaterial):
     """
 
     tension: float | Array = param("kPa", "rho t_a", low=0.0)
-    orientation: Orientation = param("1", "rho_theta", types=ORIENTATIONS)
+    orientation: Orientation = choice(ORIENTATIONS)
 
     def energy(self, F: Array, state: State = ()) -> Array:
         """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]; grows when the tissue is stretched against the pull."""

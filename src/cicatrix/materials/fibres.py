@@ -9,7 +9,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..core.implicit import solve
-from ..core.law import Law, count, param
+from ..core.law import Law, choice, count, param
 from ..core.tensors import right_cauchy_green
 from .material import EnergyMaterial, State
 from .orientation import Bingham, Fisher, Orientation, Single, VonMises
@@ -66,9 +66,9 @@ class FibreDistribution(EnergyMaterial):
     """
 
     mu_f: float | Array = param("kPa", "mu_f", low=0.0)
-    orientation: Orientation = param("1", "rho_theta", types=ORIENTATIONS)
-    waviness: Waviness | None = param("1", "rho_w", types=WAVINESSES, default=None)
-    viscous: FibreViscosity | None = param("1", "", default=None)
+    orientation: Orientation = choice(ORIENTATIONS)
+    waviness: Waviness | None = choice(WAVINESSES, default=None)
+    viscous: FibreViscosity | None = None
 
     def energy(self, F: Array, state: State = ()) -> Array:
         """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..core.implicit import solve
-from ..core.law import Law, param
+from ..core.law import Law, choice, param
 from ..core.tensors import IDENTITY, along, cofactor, det, inv, product
 from .fibres import ORIENTATIONS, stretches
 from .material import EnergyMaterial, State
@@ -69,7 +69,7 @@ class FibreGrowth(Growth):
         Directions; their weights are rho.
     """
 
-    orientation: Orientation = param("1", "rho_theta", types=ORIENTATIONS, default=VonMises(0.0))
+    orientation: Orientation = choice(ORIENTATIONS, default=VonMises(0.0))
 
     def initial_state(self, shape: tuple[int, ...]) -> Array:
         """Growth stretch of every direction (*shape, n)."""

@@ -40,6 +40,10 @@ class NaturalConfiguration(EnergyMaterial):
         """As the law has."""
         return self.law.has_potential()
 
+    def growth_tensor(self, state: State = ()) -> Array:
+        """What the law has grown to from its natural configuration, after that: F = F_e F_g F_n."""
+        return product(self.law.growth_tensor(state), self.F_n)
+
     def initial_state(self, shape: tuple[int, ...]) -> State:
         """The law's own history."""
         return self.law.initial_state(shape)

@@ -1,0 +1,26 @@
+"""Small linear systems, batched: elimination written out, so that no LAPACK call per point is compiled."""
+
+from __future__ import annotations
+
+from functools import partial
+
+import jax.numpy as jnp
+from jax import Array
+
+
+@partial(jnp.vectorize, signature="(n,n),(n)->(n)")
+def solve(A: Array, b: Array) -> Array:
+    """Solve A x = b by elimination with scaled rows and pivots: (..., n, n), (..., n) -> (..., n), for n of a few.
+
+    Rows may have different units. A singular matrix gives what is not finite; x is linear in b, and differentiable.
+    """
+    size = jnp.max(jnp.abs(A), axis=1, keepdims=True)
+    rows = jnp.concatenate([A, b[:, None]], axis=1) / size
+    n = len(b)
+    for k in range(n):
+        pivot = k + jnp.argmax(jnp.abs(rows[k:, k]))
+        rows = rows.at[jnp.array([k, pivot])].set(rows[jnp.array([pivot, k])]) if k < n - 1 else rows
+        rows = rows.at[k].divide(rows[k, k])
+        others = jnp.where(jnp.arange(n) == k, 0.0, rows[:, k])
+        rows = rows - others[:, None] * rows[k]
+    return rows[:, n]

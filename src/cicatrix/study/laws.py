@@ -1,0 +1,157 @@
+"""Which laws a case file may name, and the keys of each: derived from the parameters that the law declares.
+
+A parameter gives the key ``name_unit`` with the law's own range; a part that is a law gives a table, a part of several types
+one with ``type``, a tuple of laws a list of tables. A law's file says all that, and nothing of it is said here again.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import types
+import typing
+from collections.abc import Mapping
+from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Optional, Union
+
+import numpy as np
+from jax import Array
+from pydantic import Discriminator, StrictBool, Tag, create_model
+
+from ..core.law import Law
+from ..core.units import inner_per_typed
+from ..materials.active import Contraction
+from ..materials.material import EnergyMaterial
+from ..materials.neo_hookean import NeoHookean
+from .case import Table
+from .limits import Integer, Number, limits
+
+ANY = "_any_law"  # what stands for any law of a union inside one of its tables; no name of this module
+LAWS: dict[str, type[EnergyMaterial]] = {
+    "neo-hookean": NeoHookean,
+    "contraction": Contraction,
+}
+
+
+class LawTable(Table):
+    """A table of a case file that becomes a law, or a part of one."""
+
+    made: ClassVar[type[Law]]
+
+    def build(self) -> Law:
+        """Make the law.
+
+        Raises
+        ------
+        InputError
+            If values that are each in range do not go together.
+        """
+        values = {}
+        for field in dataclasses.fields(self.made):
+            value = getattr(self, key_of(field), None)
+            if value is not None:
+                values[field.name] = _inner(value, field)
+        return self.made(**values)
+
+
+def key_of(field: dataclasses.Field) -> str:
+    """Name a field in a case file: its own name and the unit that is typed, such as ``mu_kPa`` or ``rate_per_h``."""
+    unit = field.metadata.get("typed", "1")
+    return field.name if unit == "1" else f"{field.name}_{_unit_words(unit)}"
+
+
+def union_of(laws: Mapping[str, type[Law]]) -> Any:
+    """Annotation of a table that names one of several laws by ``type``; laws may hold others of the same ones."""
+    made: list[type[LawTable]] = []
+    whole = _either(laws, made)
+    for table in made:
+        table.model_rebuild(_types_namespace={ANY: whole})
+    return whole
+
+
+def has_bulk_modulus(law: Any) -> bool:
+    """Whether a law, or a part of it, bears change of volume: its ``kappa`` is above 0."""
+    if isinstance(law, (tuple, list)):
+        return any(has_bulk_modulus(part) for part in law)
+    if not isinstance(law, Law):
+        return False
+    if np.any(np.asarray(getattr(law, "kappa", 0.0)) > 0.0):
+        return True
+    return any(has_bulk_modulus(getattr(law, field.name)) for field in dataclasses.fields(law))
+
+
+def tag_of(name: str) -> str:
+    """Mark the name of a law where pydantic puts it between the keys of an error's place."""
+    return f"<{name}>"
+
+
+def _either(laws: Mapping[str, type[Law]], made: list[type[LawTable]]) -> Any:
+    """Union of the laws' tables, told apart by ``type``; what is made goes to the end of a list."""
+
+    def named(value: Any) -> str:
+        return tag_of(str(value.get("type") if isinstance(value, Mapping) else getattr(value, "type", None)))
+
+    tagged = [Annotated[_table(law, name, made), Tag(tag_of(name))] for name, law in laws.items()]
+    nothing = Annotated[None, Tag("")]  # a union has two members at least
+    return Annotated[Union[*tagged, nothing], Discriminator(named)]
+
+
+def _table(law: type[Law], name: str | None, made: list[type[LawTable]]) -> type[LawTable]:
+    hints = typing.get_type_hints(law)
+    keys: dict[str, Any] = {} if name is None else {"type": (Literal[name], ...)}
+    for field in dataclasses.fields(law):
+        if field.init:
+            kind, default = _kind(field, hints[field.name], made), _default(field)
+            keys[key_of(field)] = (kind if default is ... else Optional[kind], default)  # noqa: UP045
+    table = create_model(f"{law.__name__}Table", __base__=LawTable, __doc__=law.__doc__, **keys)
+    table.made = law
+    made.append(table)
+    return table
+
+
+def _default(field: dataclasses.Field) -> Any:
+    """Optional keys are left to the law's own default, so that a manifest says what was typed."""
+    has_one = field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
+    return None if has_one else ...
+
+
+def _kind(field: dataclasses.Field, hint: Any, made: list[type[LawTable]]) -> Any:
+    """The type of a key by what the law says of its field."""
+    options = [option for option in _members(hint) if option not in (type(None), Array, np.ndarray)]
+    if "types" in field.metadata:
+        return _either(field.metadata["types"], made)
+    for option in options:
+        if typing.get_origin(option) is tuple:
+            return tuple[_kind(field, typing.get_args(option)[0], made), ...]
+        if isinstance(option, type) and issubclass(option, Law):
+            return ForwardRef(ANY) if option is EnergyMaterial else _table(option, None, made)
+    if "symbol" in field.metadata:
+        return _number(field, int not in options or float in options)
+    return {bool: StrictBool, int: Integer}.get(options[0], options[0])
+
+
+def _members(hint: Any) -> tuple[Any, ...]:
+    return typing.get_args(hint) if typing.get_origin(hint) in (Union, types.UnionType) else (hint,)
+
+
+def _number(field: dataclasses.Field, is_real: bool) -> Any:
+    per = inner_per_typed(field.metadata["typed"], field.metadata["unit"])
+    low, high = field.metadata["low"] / per, field.metadata["high"] / per
+    bounds = limits(least=low if np.isfinite(low) else None, most=high if np.isfinite(high) else None)
+    return Annotated[Number if is_real else Integer, bounds]
+
+
+def _inner(value: Any, field: dataclasses.Field) -> Any:
+    """From what is typed to what the law counts in."""
+    if isinstance(value, LawTable):
+        return value.build()
+    if isinstance(value, tuple):
+        return tuple(_inner(item, field) for item in value)
+    per = inner_per_typed(field.metadata["typed"], field.metadata["unit"]) if "symbol" in field.metadata else 1.0
+    return value if per == 1.0 else value * per
+
+
+def _unit_words(unit: str) -> str:
+    words = unit.replace(" ", "_").replace("^", "")
+    return "per_" + words[2:] if words.startswith("1/") else words.replace("/", "_per_")
+
+
+AnyLaw = union_of(LAWS)
