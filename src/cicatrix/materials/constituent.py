@@ -38,7 +38,7 @@ class Constituent(Law):
         Of a about the first axis in the plane of the first two, and out of that plane.
     gain : float or (...) array [1]
         K_sigma: how much production heeds sigma, the constituent's mean stress along R a, the direction in which it is laid
-        down now (per its own mass: Kirchhoff stress, Cauchy where volume follows mass).
+        down now: per its own mass, without the pressure that keeps volume.
     homeostatic_stress : float or (...) array [kPa], optional
         sigma_h, at which production is basal; left out: the stress with which it is laid down.
 
