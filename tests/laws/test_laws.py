@@ -13,12 +13,14 @@ import cicatrix.materials
 from cicatrix.core.errors import InputError
 from cicatrix.materials.active import ActiveFibres, Contraction
 from cicatrix.materials.compose import Sum
+from cicatrix.materials.constituent import Constituent
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
 from cicatrix.materials.growing import AreaGrowth, FibreGrowth, Growing, VolumeGrowth
 from cicatrix.materials.growth import NaturalConfiguration
 from cicatrix.materials.holzapfel import HolzapfelGasserOgden
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.may_newman import MayNewman
+from cicatrix.materials.mixture import ConstrainedMixture
 from cicatrix.materials.mooney_rivlin import MooneyRivlin
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.materials.ogden import Ogden
@@ -148,6 +150,12 @@ CASES = {
         2 * GROWN,
         GROWN,
         at_rest=False,
+    ),
+    # laid down without prestretch, volume kept: 0.6 * 2/2 * 0.25 + 0.3 * 4/2 * 0.25
+    "ConstrainedMixture": Case(
+        ConstrainedMixture((Constituent(NeoHookean(2.0), 0.6), Constituent(NeoHookean(4.0), 0.3)), kappa=20.0),
+        0.3,
+        SIMPLE_SHEAR,
     ),
     # natural states multiply: F_e = F B^-1 A^-1, so the body rests at F = A B
     "natural state of a natural state": Case(

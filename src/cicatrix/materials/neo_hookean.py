@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 from jax import Array
 
 from ..core.law import param
-from ..core.tensors import det, first_invariant
+from ..core.tensors import det, first_invariant, product
 from .material import EnergyMaterial, State
 
 
@@ -32,6 +33,15 @@ class NeoHookean(EnergyMaterial):
         J = det(F)
         I1_bar = J ** (-2.0 / 3.0) * first_invariant(F)
         return 0.5 * self.mu * (I1_bar - 3.0) + 0.5 * self.kappa * (J - 1.0) ** 2
+
+    def energy_of_many(self, F: Array, mass: Array, moment: Array) -> Array:
+        """Sum of m Psi(F N) over parts of mass m and natural state N, det N = 1, from their moments.
+
+        F (..., 3, 3) [1], sum of m (...) [1] and of m N N^T (..., 3, 3) [1] -> (...) [kPa].
+        """
+        J = det(F)
+        I1_bar = J ** (-2.0 / 3.0) * jnp.sum(product(F, moment) * F, axis=(-2, -1))
+        return 0.5 * self.mu * (I1_bar - 3.0 * mass) + 0.5 * self.kappa * mass * (J - 1.0) ** 2
 
 
 def moduli_from_young(E, nu):

@@ -9,26 +9,64 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Optional, Union
 
 import numpy as np
 from jax import Array
-from pydantic import Discriminator, StrictBool, Tag, create_model
+from pydantic import BeforeValidator, Discriminator, StrictBool, Tag, create_model
 
+from ..core.errors import InputError
 from ..core.law import Law
-from ..core.units import inner_per_typed
-from ..materials.active import Contraction
+from ..core.units import inner_per_typed, seconds_from_hours
+from ..materials.active import ActiveFibres, Contraction
+from ..materials.compose import Sum
+from ..materials.fibres import FibreDistribution
+from ..materials.growing import AreaGrowth, FibreGrowth, Growing, Growth, VolumeGrowth
+from ..materials.holzapfel import HolzapfelGasserOgden
 from ..materials.material import EnergyMaterial
+from ..materials.may_newman import MayNewman
+from ..materials.mixture import ConstrainedMixture
+from ..materials.mooney_rivlin import MooneyRivlin
 from ..materials.neo_hookean import NeoHookean
+from ..materials.ogden import Ogden
+from ..materials.viscoelastic import Viscoelastic
 from .case import Table
 from .limits import Integer, Number, limits
 
 ANY = "_any_law"  # what stands for any law of a union inside one of its tables; no name of this module
 LAWS: dict[str, type[EnergyMaterial]] = {
     "neo-hookean": NeoHookean,
+    "mooney-rivlin": MooneyRivlin,
+    "ogden": Ogden,
+    "holzapfel-gasser-ogden": HolzapfelGasserOgden,
+    "may-newman": MayNewman,
+    "fibre-distribution": FibreDistribution,
+    "active-fibres": ActiveFibres,
     "contraction": Contraction,
+    "constrained-mixture": ConstrainedMixture,
 }
+GROWTHS: dict[str, type[Growth]] = {"fibre": FibreGrowth, "area": AreaGrowth, "volume": VolumeGrowth}
+ISOTROPIC = (NeoHookean, MooneyRivlin, Ogden)  # laws that may have viscous branches, each a share of them
+
+
+Numbers = Annotated[
+    tuple[Number, ...], BeforeValidator(lambda value: value if isinstance(value, list | tuple) else [value])
+]
+
+
+class SeriesTable(Table):
+    """Maxwell branches beside an isotropic law, one number for each or a list: :class:`..materials.viscoelastic.Viscoelastic`."""
+
+    beta: Numbers
+    relaxation_s: Numbers
+
+
+class FibresGrowTable(Table):
+    """Growth into the directions of a law's own fibres: :class:`..materials.growing.FibreGrowth`."""
+
+    tau_h: Annotated[Number, limits(above=0.0)]
+    homeostatic_kPa: Annotated[Number, limits(above=0.0)] | None = None
 
 
 class LawTable(Table):
@@ -49,13 +87,22 @@ class LawTable(Table):
             value = getattr(self, key_of(field), None)
             if value is not None:
                 values[field.name] = _inner(value, field)
-        return self.made(**values)
+        law, series = self.made(**values), getattr(self, "viscous", None)
+        return Viscoelastic(law, series.beta, series.relaxation_s) if isinstance(series, SeriesTable) else law
+
+    def growth_of_fibres(self) -> FibreGrowth | None:
+        """How the law's own fibres grow, if they do."""
+        asked = getattr(self, "growth", None)
+        if not isinstance(asked, FibresGrowTable):
+            return None
+        orientation = self.orientation.build()  # pyright: ignore[reportAttributeAccessIssue]
+        return FibreGrowth(seconds_from_hours(asked.tau_h), asked.homeostatic_kPa, orientation)
 
 
 def key_of(field: dataclasses.Field) -> str:
     """Name a field in a case file: its own name and the unit that is typed, such as ``mu_kPa`` or ``rate_per_h``."""
-    unit = field.metadata.get("typed", "1")
-    return field.name if unit == "1" else f"{field.name}_{_unit_words(unit)}"
+    unit, name = field.metadata.get("typed", "1"), field.metadata.get("key", field.name)
+    return name if unit == "1" else f"{name}_{_unit_words(unit)}"
 
 
 def union_of(laws: Mapping[str, type[Law]]) -> Any:
@@ -101,6 +148,10 @@ def _table(law: type[Law], name: str | None, made: list[type[LawTable]]) -> type
         if field.init:
             kind, default = _kind(field, hints[field.name], made), _default(field)
             keys[key_of(field)] = (kind if default is ... else Optional[kind], default)  # noqa: UP045
+    if law in ISOTROPIC:
+        keys["viscous"] = (SeriesTable | None, None)
+    if law is FibreDistribution:
+        keys["growth"] = (FibresGrowTable | None, None)
     table = create_model(f"{law.__name__}Table", __base__=LawTable, __doc__=law.__doc__, **keys)
     table.made = law
     made.append(table)
@@ -155,3 +206,20 @@ def _unit_words(unit: str) -> str:
 
 
 AnyLaw = union_of(LAWS)
+AnyGrowth = union_of(GROWTHS)
+
+
+def composed(tables: Sequence[LawTable], growth: LawTable | None = None) -> EnergyMaterial:
+    """Make the law that tables say: parts add up, and what grows is the whole tissue. The one place of composition.
+
+    Raises
+    ------
+    InputError
+        If values do not go together, or growth is said more than once.
+    """
+    parts = [(table.build(), table.growth_of_fibres()) for table in tables]
+    growths = [grown for _, grown in parts if grown] + ([growth.build()] if growth else [])
+    if len(growths) > 1:
+        raise InputError("growth must be said once, for the whole tissue")
+    law = parts[0][0] if len(parts) == 1 else Sum(tuple(part for part, _ in parts))
+    return Growing(law, *growths) if growths else law

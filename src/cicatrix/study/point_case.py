@@ -9,10 +9,9 @@ from pydantic import AfterValidator, BeforeValidator, model_validator
 from pydantic_core import PydanticCustomError
 
 from ..core.errors import InputError
-from ..materials.compose import Sum
 from ..materials.material import EnergyMaterial
 from .case import Table
-from .laws import AnyLaw, has_bulk_modulus
+from .laws import AnyGrowth, AnyLaw, composed, has_bulk_modulus
 from .limits import OUT_OF_RANGE, Integer, Number, fault, limits
 
 Quantity = Literal["stretch", "stress"]
@@ -105,6 +104,7 @@ class PointCase(Table):
 
     kind: Literal["material-point"] = "material-point"
     law: tuple[AnyLaw, ...]  # pyright: ignore[reportInvalidTypeForm]
+    growth: AnyGrowth | None = None  # pyright: ignore[reportInvalidTypeForm]
     loading: LoadingTable
     solver: Solver = Solver()
 
@@ -122,6 +122,10 @@ class PointCase(Table):
                 part.build()
             except InputError as error:
                 raise fault(f"law[{number}]", f"is at fault: {error}") from None
+        try:
+            law_of(self)
+        except InputError as error:
+            raise fault("growth", f"is at fault: {error}") from None
         thickness = self.loading.thickness
         if thickness != "incompressible" and not has_bulk_modulus(law_of(self)):
             word = "loading.z" if thickness == "given" else f'loading.plane = "{thickness}"'
@@ -130,6 +134,5 @@ class PointCase(Table):
 
 
 def law_of(case: PointCase) -> EnergyMaterial:
-    """Make the law of a case: its parts add up. The one place where laws are put together."""
-    parts = tuple(table.build() for table in case.law)
-    return parts[0] if len(parts) == 1 else Sum(parts)
+    """Make the law of a case."""
+    return composed(case.law, case.growth)
