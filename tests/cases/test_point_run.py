@@ -16,7 +16,7 @@ from cicatrix.io.progress import Progress
 from cicatrix.materials.compose import Sum
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.study.point_case import law_of
+from cicatrix.study.laws import law_of
 
 LAW = """
 kind = "material-point"

@@ -51,7 +51,7 @@ def path(k):
     return np.eye(3) + k * np.array([[0.08, 0.05, 0.0], [0.0, -0.03, 0.02], [0.0, 0.0, -0.02]])
 
 
-@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("name", ["viscous fibres", "growing", pytest.param("viscoelastic", marks=pytest.mark.slow)])
 def test_a_homogeneous_cube_is_a_material_point(name):
     """All its surface moved alike: the node inside follows, and history and stress are those of a point."""
     law = LAWS[name]
@@ -73,7 +73,7 @@ def test_viscous_tissue_sags_on_and_stops_at_its_law():
     """Stiffer by its branch at once, long after as soft as the law alone; meanwhile it turns work into heat."""
     law = LAWS["viscoelastic"]
     body = cube(law, lambda points: points[:, 1] > 9.9)
-    body = replace(body, density=2e-3 * np.ones_like(body.density))
+    body = replace(body, density=2e-5 * np.ones_like(body.density))
     X = body.frame.space.positions
     solver = Equilibrium(1e-10)
     loads = [Load(t, GRAVITY) for t in (0.0, 0.5, 2.0, 1e8)]
@@ -91,7 +91,7 @@ def test_viscous_tissue_sags_on_and_stops_at_its_law():
 def test_newton_converges_fast_under_gravity(name):
     """The consistent tangent: few iterations in a step of any length, symmetric or not."""
     body = cube(LAWS[name], lambda points: points[:, 1] > 9.9)
-    body = replace(body, density=1e-3 * np.ones_like(body.density))
+    body = replace(body, density=2e-5 * np.ones_like(body.density))
     X = body.frame.space.positions
     loads = [Load(t, GRAVITY) for t in (0.0, 1.0, 10.0)]
     _, *moments = march(body, X, loads, virgin(body, X), Equilibrium(1e-9))
@@ -100,7 +100,7 @@ def test_newton_converges_fast_under_gravity(name):
 
 def test_it_goes_on_from_a_moment_to_the_same_bits():
     body = cube(LAWS["growing"], lambda points: points[:, 1] > 9.9)
-    body = replace(body, density=1e-3 * np.ones_like(body.density))
+    body = replace(body, density=2e-5 * np.ones_like(body.density))
     X = body.frame.space.positions
     loads = [Load(t, GRAVITY) for t in (0.0, 1.0, 3.0)]
     solver = Equilibrium(1e-9)

@@ -24,7 +24,7 @@ def solve_linear(A: Array, b: Array) -> Array:
         pivot = 1.0 / rows[k][k]
         for i in range(k + 1, n):
             share = rows[i][k] * pivot
-            rows[i] = [None] * (k + 1) + [rows[i][j] - share * rows[k][j] for j in range(k + 1, n + 1)]
+            rows[i] = rows[i][: k + 1] + [rows[i][j] - share * rows[k][j] for j in range(k + 1, n + 1)]
     x: list[Array] = [b] * n
     for k in reversed(range(n)):
         x[k] = (rows[k][n] - sum(rows[k][j] * x[j] for j in range(k + 1, n))) / rows[k][k]

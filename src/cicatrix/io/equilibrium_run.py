@@ -6,9 +6,10 @@ The first rank has the run's folder; the others solve with it, each with element
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import jax
 import numpy as np
 
 from ..core.errors import ConvergenceError, InputError
@@ -17,11 +18,14 @@ from ..core.newton import NewtonReport
 from ..core.petsc import petsc
 from ..core.ranks import Ranks, world
 from ..core.units import acceleration_mm_s2, ml_from_mm3
+from ..materials.neo_hookean import young_from_moduli
 from ..mechanics.body import Body, local_volumes
 from ..mechanics.division import layout_of, shared
 from ..mechanics.equilibrium import Equilibrium
 from ..study.equilibrium import moved, solid_body
 from ..study.equilibrium_case import EquilibriumCase
+from ..study.laws import law_of
+from .equilibrium_march import March
 from .figures_equilibrium import shape_figure
 from .meshes import MeshedBody, read_body
 from .progress import Progress
@@ -45,6 +49,8 @@ class EquilibriumRun:
             given, body = _given(self.case, self.ranks)
         if doubt := _doubt(given.points):
             self.folder.note(doubt)
+        if self.case.history is not None:
+            return March(self.case, self.folder, self.progress, given, body).go()
         with self.progress.stage("solve"):
             found, report, solver = self._solve(given, body)
             for line in [*_how(self.case, self.ranks), *report.history]:
@@ -110,9 +116,17 @@ def _given(case: EquilibriumCase, ranks: Ranks) -> tuple[MeshedBody, Body]:
     """The mesh, which the first rank reads, and the body that it is of."""
     if _on_petsc(case, ranks):
         ranks.agree(lambda: petsc().communicator(ranks))  # where that fails nothing else need be done
-    mesh = case.body.mesh, case.body.mesh_unit
+    mesh = case.body.mesh, case.body.mesh_unit, _elastic(case)
     given: Any = ranks.share(ranks.agree(lambda: read_body(*mesh) if ranks.is_first else None))
     return given, ranks.agree(lambda: _body(case, given, _on_petsc(case, ranks)))
+
+
+def _elastic(case: EquilibriumCase) -> tuple[float, float] | None:
+    """Young's modulus [kPa] and Poisson's ratio of the case's law at rest, if it has one."""
+    if not case.law:
+        return None
+    E, nu = young_from_moduli(*jax.jit(lambda law: law.moduli_at_rest())(law_of(case)))
+    return float(E), min(float(nu), 0.4999)
 
 
 def _body(case: EquilibriumCase, given: MeshedBody, is_shared: bool) -> Body:
@@ -128,6 +142,8 @@ def _body(case: EquilibriumCase, given: MeshedBody, is_shared: bool) -> Body:
         is_pressurised=given.is_pressurised,
         pressure=pressure,
     )
+    if case.law:
+        body = replace(body, law=law_of(case))
     space = body.frame.space
     folded = np.flatnonzero((local_volumes(space, space.positions) <= 0.0).any(axis=1))
     if folded.size:
@@ -142,6 +158,8 @@ def _body(case: EquilibriumCase, given: MeshedBody, is_shared: bool) -> Body:
         )
     if case.solver.inverse and given.displacement.any():
         raise InputError(f"{name}: point data `prescribed_displacement` must be 0 where solver.inverse = true")
+    if is_shared and case.history is not None:
+        raise InputError('history is for one process: start it without mpiexec, with solver.linear = "direct"')
     if is_shared and (body.frame.sliding_nodes.size or body.frame.skin_facets.size):
         raise InputError(
             f"{name}: sliding walls and pressure are for one process: start it without mpiexec, with solver.linear = "

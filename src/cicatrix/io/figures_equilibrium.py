@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.figure import Figure
 from mpl_toolkits.mplot3d.art3d import Poly3DCollection
@@ -29,4 +31,25 @@ def shape_figure(space: SolidSpace, start: np.ndarray, found: np.ndarray, invers
         ax.set(xlabel="x [mm]", ylabel="y [mm]", zlabel="z [mm]")
         ax.set_box_aspect(np.maximum(high - low, 1e-9))
     figure.colorbar(surface, ax=figure.axes, shrink=0.7, label="displacement [mm]")
+    return figure
+
+
+def march_figure(history: Mapping[str, np.ndarray]) -> Figure:
+    """What a body that is led through time did: displacement, volumes and energies against time."""
+    figure = Figure(figsize=(11, 3.4), layout="constrained")
+    time = history["time_h"]
+    left, middle, right = figure.subplots(1, 3)
+    left.plot(time, history["max_displacement_mm"], color="tab:blue")
+    left.set(ylabel="largest displacement [mm]", title="shape")
+    middle.plot(time, history["volume_ml"] / history["volume_ml"][0], color="tab:green", label="body")
+    middle.plot(time, history["growth_mean"], color="tab:olive", ls="--", label="grown tissue, unstrained")
+    middle.set(ylabel="volume over that at first [1]", title="volume")
+    right.plot(time, history["strain_energy_uJ"], color="tab:red", label="stored")
+    right.plot(time, history["dissipation_uJ"], color="tab:gray", label="turned into heat")
+    right.set(ylabel="energy [uJ]", title="energy")
+    for ax in (left, middle, right):
+        ax.set_xlabel("time [h]")
+        ax.grid(alpha=0.3)
+    middle.legend(frameon=False)
+    right.legend(frameon=False)
     return figure

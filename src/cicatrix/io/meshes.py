@@ -50,7 +50,7 @@ class MeshedBody:
     density: np.ndarray
 
 
-def read_body(path: Path, unit: str) -> MeshedBody:
+def read_body(path: Path, unit: str, elastic: tuple[float, float] | None = None) -> MeshedBody:
     """Read a mesh of tetrahedra with its tissue; any format of meshio, such as VTU.
 
     Parameters
@@ -60,6 +60,8 @@ def read_body(path: Path, unit: str) -> MeshedBody:
         there are, also point data ``prescribed_displacement`` [mm], ``sliding`` and ``pressurised``.
     unit : {"mm", "cm", "m"}
         Unit of its coordinates.
+    elastic : (float, float), optional
+        Young's modulus [kPa] and Poisson's ratio of the whole body, which then does not give its own.
 
     Raises
     ------
@@ -71,7 +73,7 @@ def read_body(path: Path, unit: str) -> MeshedBody:
     except (meshio.ReadError, OSError, ValueError, KeyError, SystemExit) as error:
         raise InputError(f"{path.name} cannot be read as a mesh: {str(error) or type(error).__name__}") from None
     try:
-        return _body(mesh, unit)
+        return _body(mesh, unit, elastic)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
 
@@ -83,7 +85,7 @@ def write_body(path: Path, mesh: BodyMesh, E: np.ndarray, nu: np.ndarray, densit
     write_vtu(path, mesh.nodes, mesh.tetrahedra, {"fixed": is_fixed}, tissue)
 
 
-def _body(mesh: meshio.Mesh, unit: str) -> MeshedBody:
+def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None) -> MeshedBody:
     kinds = {block.type for block in mesh.cells}
     wrong = sorted(kinds - CELLS.keys() - set(SURFACES))
     if wrong or len(kinds & CELLS.keys()) != 1:
@@ -103,8 +105,11 @@ def _body(mesh: meshio.Mesh, unit: str) -> MeshedBody:
     _check_faces("sliding", is_sliding, tetrahedra)
     _check_faces("pressurised", is_pressurised, tetrahedra)
     displacement = _displacement(mesh.point_data, is_fixed)
-    data = {name: _cell_data(mesh, name, kind) for name in ("youngs_modulus_kPa", "poisson_ratio", "density_kg_m3")}
-    E, nu, density = data.values()
+    density = _cell_data(mesh, "density_kg_m3", kind)
+    if elastic is None:
+        E, nu = (_cell_data(mesh, name, kind) for name in ("youngs_modulus_kPa", "poisson_ratio"))
+    else:
+        E, nu = (np.full(len(density), value) for value in elastic)
     _refuse(E <= 0.0, "youngs_modulus_kPa must be above 0", E)
     _refuse((nu < 0.0) | (nu >= 0.5), "poisson_ratio must be at least 0 and below 0.5", nu)
     _refuse(density <= 0.0, "density_kg_m3 must be above 0", density)

@@ -15,8 +15,9 @@ from ..core.units import hours_from_seconds
 from ..materials.material import EnergyMaterial
 from ..mechanics.point import Control, Instant, Point, virgin
 from ..mechanics.point_walk import Mark, walk
+from ..study.laws import law_of
 from ..study.point import control_of, first_of_last_cycle, instants_of, work
-from ..study.point_case import PointCase, law_of
+from ..study.point_case import PointCase
 from .figures_point import histories_figure, response_figure
 from .progress import Progress
 from .results import Quantity, RunFolder

@@ -92,14 +92,16 @@ class EnergyMaterial(Law):
         A = jnp.moveaxis(columns, 0, -1).reshape(*F.shape, 3, 3)
         return Response(P, A, after)
 
+    def moduli_at_rest(self, shape: tuple[int, ...] = ()) -> tuple[Array, Array]:
+        """Shear and bulk modulus [kPa] of virgin material where it is free of stress, at points of a shape.
 
-def moduli_at_rest(law: EnergyMaterial, shape: tuple[int, ...] = ()) -> tuple[Array, Array]:
-    """Shear and bulk modulus [kPa] of a law where it is free of stress, at points of a shape.
-
-    Those of the tangent there, averaged over all turns of the material: an isotropic law's own. Of a law whose parameters
-    are single numbers the shape may be left out.
-    """
-    side = jnp.broadcast_to(jnp.cbrt(jnp.asarray(law.volume_at_rest(), float)), shape)
-    A = law.response(side[..., None, None] * jnp.eye(3), law.initial_state(shape)).A
-    volumetric, every = jnp.einsum("...iijj->...", A), jnp.einsum("...ijij->...", A)
-    return (3.0 * every - volumetric) / 30.0, volumetric / 9.0
+        Those of the instantaneous tangent there, averaged over all turns of the material: an isotropic law's own. Of a law
+        whose parameters are single numbers the shape may be left out.
+        """
+        side = jnp.broadcast_to(jnp.cbrt(jnp.asarray(self.volume_at_rest(), float)), shape)
+        virgin = self.initial_state(shape)
+        _, along = jax.linearize(lambda F: self.stress(F, virgin), side[..., None, None] * jnp.eye(3))
+        columns = jax.vmap(lambda d: along(jnp.broadcast_to(d, (*shape, 3, 3))))(jnp.eye(9).reshape(9, 3, 3))
+        A = columns.reshape(3, 3, *columns.shape[1:])
+        volumetric, every = jnp.einsum("ii...jj->...", A), jnp.einsum("ij...ij->...", A)
+        return (3.0 * every - volumetric) / 30.0, volumetric / 9.0

@@ -47,3 +47,7 @@ class Stepped(EnergyMaterial):
     def has_potential(self) -> bool:
         """As the law's steps have."""
         return self.law.has_potential()
+
+    def moduli_at_rest(self, shape: tuple[int, ...] = ()) -> tuple[Array, Array]:
+        """Those of the law, whatever the step."""
+        return self.law.moduli_at_rest(shape)

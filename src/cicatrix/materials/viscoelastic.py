@@ -11,7 +11,7 @@ from ..core.implicit import solve
 from ..core.law import param
 from ..core.spectral import isotropic
 from ..core.tensors import IDENTITY, det, product, right_cauchy_green
-from .material import EnergyMaterial, State, moduli_at_rest
+from .material import EnergyMaterial, State
 
 
 class Viscoelastic(EnergyMaterial):
@@ -103,7 +103,7 @@ def _spring(law: EnergyMaterial, F_e: Array) -> Array:
 def _shear_modulus(law: EnergyMaterial, shape: tuple[int, ...]) -> Array:
     """At rest (...) [kPa]; one number where the law's parameters are the same at all points."""
     is_uniform = all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(law))
-    return moduli_at_rest(law, () if is_uniform else shape)[0]
+    return law.moduli_at_rest(() if is_uniform else shape)[0]
 
 
 def _flow(c: Array, law: EnergyMaterial, mu: Array, steps: Array) -> Array:

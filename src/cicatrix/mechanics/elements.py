@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from ..core.tensors import cofactor, det, inv, product
-from ..materials.material import EnergyMaterial, moduli_at_rest
+from ..materials.material import EnergyMaterial
 from .space import Table
 
 NORMAL = np.array([0.0, 0.0, 1.0])
@@ -84,7 +84,7 @@ def kept_share(law: EnergyMaterial, shape: tuple[int, ...]) -> Array:
     and on the fluctuation about it as it would at 0.499 (the square of this share times itself), which leaves room for the
     gradient of the pressure. docs/decisions/0013 has the measured errors.
     """
-    shear, bulk = moduli_at_rest(law, shape)
+    shear, bulk = law.moduli_at_rest(shape)
     return jnp.sqrt(jnp.clip(STIFFEST * shear / bulk, 0.0, 1.0))
 
 

@@ -60,6 +60,13 @@ class Equilibrium:
         """Solves with a factor so far."""
         return int(self._downhill[1]) + sum(solver.n_steps for solver in self._linear.values())
 
+    def forget(self) -> None:
+        """Let all factors go; the next solve depends on its arguments alone."""
+        self._downhill += self.factorizations - self._downhill[0], self.krylov_steps - self._downhill[1]
+        for solver in self._linear.values():
+            solver.forget()
+        self._linear.clear()
+
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on besides its arguments: the factors, for ``restore``."""
         return {
@@ -288,6 +295,13 @@ class Equilibrium:
         return self._linear[problem.in_plane]
 
 
+def _symmetric_part(matrix: sp.bsr_array) -> sp.bsr_array:
+    """Of a matrix whose pattern is symmetric; it keeps the pattern, with all its zeros."""
+    turned = sp.bsr_array(matrix.T, blocksize=matrix.blocksize)
+    turned.sort_indices()
+    return sp.bsr_array((0.5 * (matrix.data + turned.data), matrix.indices, matrix.indptr), shape=matrix.shape)
+
+
 def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
     """Refuse a shape that balances with an element turned inside out."""
     turned = body.inside_out(X, x)
@@ -430,7 +444,7 @@ class _Problem:
             body = replace(self.body, pressure=None)
             matrix, _ = body.linearised(*shapes, J_bar, in_plane=in_plane)
             if not body.has_potential:
-                matrix = sp.bsr_array(0.5 * (matrix + matrix.T), blocksize=matrix.blocksize)
+                matrix = _symmetric_part(matrix)
             return self._pulled_back(matrix, Pullback.loaded(body, shapes[1]))
 
         return _Tangent(self._pulled_back(matrix, pullback), rates, pullback, self, None if self.is_symmetric else near)

@@ -63,7 +63,7 @@ def march(body: Body, X: np.ndarray, loads: Iterable[Load], start: Moment, solve
     start : Moment
         From :func:`virgin`, or one that was yielded before: the same moments follow from it.
     solver : Equilibrium
-        Keeps its factors from step to step.
+        Keeps its factors from step to step, where the law's steps have a potential.
 
     Raises
     ------
@@ -85,6 +85,8 @@ def stepped(body: Body, moment: Moment, load: Load) -> Body:
 def _step(body: Body, X: np.ndarray, now: Moment, load: Load, solver: Equilibrium) -> Moment:
     during = stepped(body, now, load)
     start = None if now.report is None else now.x
+    if not body.has_potential:
+        solver.forget()  # an indefinite factor made again is not the same to the bit
     x, report = solver.loaded(during, X, load.gravity, start, load.held_at)
     F = during.law_gradient(X, x)
     after, lost = (jax.tree.map(np.asarray, part) for part in _advanced(during.law, F))

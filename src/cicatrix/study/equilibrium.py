@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
+from ..core.units import seconds_from_hours
 from ..geometry.tetrahedra import EDGES, boundary, with_middles
 from ..materials.neo_hookean import NeoHookean, moduli_from_young
 from ..mechanics.body import Body, Frame
 from ..mechanics.space import SolidSpace
 from ..mechanics.supports import walls
+from .equilibrium_case import HistoryTable
 
 
 def solid_body(
@@ -88,3 +92,10 @@ def _with_fixed_middles(is_fixed: np.ndarray, tetrahedra: np.ndarray, n_nodes: i
     out = np.concatenate([is_fixed, np.zeros(n_nodes - len(is_fixed), bool)])
     out[middle[is_fixed[one] & is_fixed[other]]] = True
     return out
+
+
+def instants(history: HistoryTable) -> np.ndarray:
+    """Times [s] and shares of the loads at which a body is led through them: (n, 2), equal steps per segment."""
+    corners = np.stack([seconds_from_hours(np.array(history.time_h)), np.array(history.share)], axis=1)
+    k = np.arange(1, history.steps_per_segment + 1)[:, None] / history.steps_per_segment
+    return np.vstack([corners[:1], *(a + k * (b - a) for a, b in pairwise(corners))])

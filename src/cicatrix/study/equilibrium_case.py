@@ -5,17 +5,21 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+import jax
+from pydantic import model_validator
+
 from .case import Table
-from .limits import Number, Vector, limits
+from .laws import AnyGrowth, AnyLaw, has_bulk_modulus, law_of
+from .limits import Integer, Number, Times, Vector, fault, limits
 
 
 class BodyTable(Table):
     """A mesh of tetrahedra with its tissue and its supports.
 
-    Cell data ``youngs_modulus_kPa``, ``poisson_ratio``, ``density_kg_m3``. Point data ``fixed`` (0 or 1), and where there is
-    need of them: ``prescribed_displacement`` (three components [mm], of fixed nodes), ``sliding`` (0 or 1: corners of
-    boundary faces that slide without friction along the planes that they lie in at first), ``pressurised`` (0 or 1: corners
-    of boundary faces that bear ``loads.pressure_kPa``).
+    Cell data ``density_kg_m3``, and without ``[[law]]`` also ``youngs_modulus_kPa`` and ``poisson_ratio``. Point data ``fixed``
+    (0 or 1), and where there is need of them: ``prescribed_displacement`` (three components [mm], of fixed nodes), ``sliding``
+    (0 or 1: corners of boundary faces that slide without friction along the planes that they lie in at first),
+    ``pressurised`` (0 or 1: corners of boundary faces that bear ``loads.pressure_kPa``).
     """
 
     mesh: Path
@@ -29,6 +33,20 @@ class Loads(Table):
     pressure_kPa: Number = 0.0  # from outside, along the normal that the faces have once they are deformed
 
 
+class HistoryTable(Table):
+    """Shares of the loads and of prescribed displacements at some times, linear between; the body is led through them."""
+
+    time_h: Times
+    share: tuple[Number, ...]
+    steps_per_segment: Annotated[Integer, limits(least=1, most=100_000)] = 10
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> HistoryTable:
+        if len(self.share) != len(self.time_h):
+            raise fault("share", f"must have as many values as time_h ({len(self.time_h)}); got {len(self.share)}")
+        return self
+
+
 class Solver(Table):
     """What is looked for, and how exactly."""
 
@@ -38,12 +56,31 @@ class Solver(Table):
 
 
 class EquilibriumCase(Table):
-    """Mechanics alone: a body on a mesh of the user's, under gravity."""
+    """Mechanics alone: a body on a mesh of the user's, under gravity.
+
+    ``[[law]]`` gives all of it one tissue, that of ``kind = "material-point"``; ``[history]`` leads it through time.
+    """
 
     kind: Literal["equilibrium"] = "equilibrium"
     body: BodyTable
+    law: tuple[AnyLaw, ...] = ()  # pyright: ignore[reportInvalidTypeForm]
+    growth: AnyGrowth | None = None  # pyright: ignore[reportInvalidTypeForm]
     loads: Loads = Loads()
+    history: HistoryTable | None = None
     solver: Solver = Solver()
+
+    @model_validator(mode="after")
+    def _goes_together(self) -> EquilibriumCase:
+        if not self.law and self.growth:
+            raise fault("growth", "needs a tissue: give [[law]]")
+        law = law_of(self) if self.law else None
+        if law is not None and not has_bulk_modulus(law):
+            raise fault("law", "must bear change of volume in a body: give kappa_kPa of a part a value above 0")
+        if law is not None and self.history is None and jax.tree.leaves(law.initial_state((1,))):
+            raise fault("history", "is missing: the law's answer depends on time")
+        if self.history is not None and self.solver.inverse:
+            raise fault("history", "leads a body forward: leave solver.inverse out")
+        return self
 
     @property
     def seed(self) -> int:

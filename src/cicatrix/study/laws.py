@@ -9,8 +9,8 @@ from __future__ import annotations
 import dataclasses
 import types
 import typing
-from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Optional, Union
+from collections.abc import Callable, Mapping
+from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Optional, Protocol, Union
 
 import numpy as np
 from jax import Array
@@ -32,7 +32,7 @@ from ..materials.neo_hookean import NeoHookean
 from ..materials.ogden import Ogden
 from ..materials.viscoelastic import Viscoelastic
 from .case import Table
-from .limits import Integer, Number, limits
+from .limits import Integer, Number, fault, limits
 
 ANY = "_any_law"  # what stands for any law of a union inside one of its tables; no name of this module
 LAWS: dict[str, type[EnergyMaterial]] = {
@@ -209,17 +209,35 @@ AnyLaw = union_of(LAWS)
 AnyGrowth = union_of(GROWTHS)
 
 
-def composed(tables: Sequence[LawTable], growth: LawTable | None = None) -> EnergyMaterial:
-    """Make the law that tables say: parts add up, and what grows is the whole tissue. The one place of composition.
+class NamesALaw(Protocol):
+    """A case with tables of laws."""
+
+    @property
+    def law(self) -> tuple[LawTable, ...]: ...  # noqa: D102
+    @property
+    def growth(self) -> LawTable | None: ...  # noqa: D102
+
+
+def law_of(case: NamesALaw) -> EnergyMaterial:
+    """Make the law of a case: parts add up, and what grows is the whole tissue. The one place of composition.
 
     Raises
     ------
-    InputError
-        If values do not go together, or growth is said more than once.
+    PydanticCustomError
+        If values do not go together, or growth is said more than once; it names the table.
     """
-    parts = [(table.build(), table.growth_of_fibres()) for table in tables]
-    growths = [grown for _, grown in parts if grown] + ([growth.build()] if growth else [])
+    parts = [_told(f"law[{number}]", table.build) for number, table in enumerate(case.law)]
+    growths = [grown for table in case.law if (grown := table.growth_of_fibres())]
+    if case.growth:
+        growths.append(_told("growth", case.growth.build))
     if len(growths) > 1:
-        raise InputError("growth must be said once, for the whole tissue")
-    law = parts[0][0] if len(parts) == 1 else Sum(tuple(part for part, _ in parts))
+        raise fault("growth", "must be said once, for the whole tissue")
+    law = parts[0] if len(parts) == 1 else Sum(tuple(parts))
     return Growing(law, *growths) if growths else law
+
+
+def _told(key: str, build: Callable[[], Any]) -> Any:
+    try:
+        return build()
+    except InputError as error:
+        raise fault(key, f"is at fault: {error}") from None

@@ -69,6 +69,12 @@ def _ascending(values: tuple[float, ...]) -> tuple[float, ...]:
     return values
 
 
+def _rising(times: tuple[float, ...]) -> tuple[float, ...]:
+    if len(times) < 2 or any(later <= earlier for earlier, later in pairwise(times)):
+        raise PydanticCustomError(OUT_OF_RANGE, "{words}", {"words": "must be at least two times that ascend"})
+    return times
+
+
 Number = Annotated[float, Strict(), AfterValidator(_finite)]
 Positive = Annotated[float, Strict(), limits(above=0.0)]
 NotNegative = Annotated[float, Strict(), limits(least=0.0)]
@@ -77,3 +83,4 @@ PoissonRatio = Annotated[float, Strict(), limits(least=0.0, below=0.5)]
 Integer = Annotated[int, Strict()]
 Vector = Annotated[tuple[Number, ...], AfterValidator(_has_length(3))]
 Ascending = Annotated[tuple[Positive, ...], AfterValidator(_ascending)]
+Times = Annotated[tuple[Number, ...], AfterValidator(_rising)]

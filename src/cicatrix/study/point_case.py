@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, model_validator
+from pydantic import BeforeValidator, model_validator
 from pydantic_core import PydanticCustomError
 
-from ..core.errors import InputError
-from ..materials.material import EnergyMaterial
 from .case import Table
-from .laws import AnyGrowth, AnyLaw, composed, has_bulk_modulus
-from .limits import OUT_OF_RANGE, Integer, Number, fault, limits
+from .laws import AnyGrowth, AnyLaw, has_bulk_modulus, law_of
+from .limits import OUT_OF_RANGE, Integer, Number, Times, fault, limits
 
 Quantity = Literal["stretch", "stress"]
 QUANTITIES = ("stretch", "stress")
@@ -29,12 +26,6 @@ def _control(value: Any) -> Any:
     )
 
 
-def _rising(times: Corners) -> Corners:
-    if len(times) < 2 or any(later <= earlier for earlier, later in pairwise(times)):
-        raise PydanticCustomError(OUT_OF_RANGE, "{words}", {"words": "must be at least two times that ascend"})
-    return times
-
-
 class LoadingTable(Table):
     """Stretches [1] or Cauchy stresses [kPa] at some times, linear between.
 
@@ -43,7 +34,7 @@ class LoadingTable(Table):
 
     control: Annotated[tuple[Quantity, ...], BeforeValidator(_control)] = ("stretch",)
     plane: Literal["incompressible", "stress", "strain"] | None = None  # "incompressible" where z is left out
-    time_h: Annotated[Corners, AfterValidator(_rising)]
+    time_h: Times
     x: Corners
     y: Corners | None = None
     z: Corners | None = None
@@ -117,22 +108,9 @@ class PointCase(Table):
     def _makes_a_law(self) -> PointCase:
         if not self.law:
             raise fault("law", "must be at least one table [[law]]")
-        for number, part in enumerate(self.law):
-            try:
-                part.build()
-            except InputError as error:
-                raise fault(f"law[{number}]", f"is at fault: {error}") from None
-        try:
-            law_of(self)
-        except InputError as error:
-            raise fault("growth", f"is at fault: {error}") from None
+        law = law_of(self)
         thickness = self.loading.thickness
-        if thickness != "incompressible" and not has_bulk_modulus(law_of(self)):
+        if thickness != "incompressible" and not has_bulk_modulus(law):
             word = "loading.z" if thickness == "given" else f'loading.plane = "{thickness}"'
             raise fault("law", f"must bear change of volume for {word}: give kappa_kPa of a part a value above 0")
         return self
-
-
-def law_of(case: PointCase) -> EnergyMaterial:
-    """Make the law of a case."""
-    return composed(case.law, case.growth)
