@@ -9,26 +9,10 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
+from .small import eliminate
+
 MOST = 60  # iterations; Newton's method needs a handful, a step that is cut short some more
 EXACT = 1e-14  # of the unknowns' scale: what further iterations would not improve
-
-
-def solve_linear(A: Array, b: Array) -> Array:
-    """Solve A x = b by elimination without pivots, written out: (..., n, n), (..., n) -> (..., n), n small.
-
-    For matrices that are near the identity or have a positive definite symmetric part.
-    """
-    n = b.shape[-1]
-    rows = [[A[..., i, j] for j in range(n)] + [b[..., i]] for i in range(n)]
-    for k in range(n):
-        pivot = 1.0 / rows[k][k]
-        for i in range(k + 1, n):
-            share = rows[i][k] * pivot
-            rows[i] = rows[i][: k + 1] + [rows[i][j] - share * rows[k][j] for j in range(k + 1, n + 1)]
-    x: list[Array] = [b] * n
-    for k in reversed(range(n)):
-        x[k] = (rows[k][n] - sum(rows[k][j] * x[j] for j in range(k + 1, n))) / rows[k][k]
-    return jnp.stack(x, axis=-1)
 
 
 def jacobian(residual: Callable[[Array], Array], x: Array) -> tuple[Array, Array]:
@@ -52,7 +36,7 @@ def solve(residual: Callable[[Array], Array], guess: Array) -> Array:
         r, slope = jacobian(lambda y: held(y, *still), now.x)
         norm = jnp.max(jnp.abs(r), axis=-1, keepdims=True)
         is_down = norm < now.norm  # not where it is NaN
-        step = jnp.where(is_down, -solve_linear(slope, r), 0.5 * now.step)
+        step = jnp.where(is_down, -eliminate(slope, r), 0.5 * now.step)
         base = jnp.where(is_down, now.x, now.base)
         size = jnp.max(jnp.abs(step), axis=-1, keepdims=True) / jnp.maximum(
             jnp.max(jnp.abs(base), axis=-1, keepdims=True), 1.0
@@ -67,7 +51,7 @@ def solve(residual: Callable[[Array], Array], guess: Array) -> Array:
     )
     x = lax.while_loop(lambda now: (now.n < MOST) & ~jnp.all(now.is_done), go_on, first).x
     _, slope = jacobian(lambda y: held(y, *still), x)
-    return x - solve_linear(lax.stop_gradient(slope), held(x, *parameters))
+    return x - eliminate(lax.stop_gradient(slope), held(x, *parameters))
 
 
 class _Iterate(NamedTuple):
