@@ -188,7 +188,11 @@ def compiled(function):
     return jax.jit(function, compiler_options=COMPILER)
 
 
-@pytest.fixture(params=CASES, scope="module")
+SLOW = ("growing by area", "growing by stress", "growing along stressed fibres", "growing by volume", "sum of sums")
+SLOW += ("natural state of a natural state",)
+
+
+@pytest.fixture(params=[pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in CASES], scope="module")
 def case(request):
     return CASES[request.param]
 

@@ -93,7 +93,7 @@ def test_newton_converges_fast_under_gravity(name):
     body = cube(LAWS[name], lambda points: points[:, 1] > 9.9)
     body = replace(body, density=2e-5 * np.ones_like(body.density))
     X = body.frame.space.positions
-    loads = [Load(t, GRAVITY) for t in (0.0, 1.0, 10.0)]
+    loads = [Load(t, GRAVITY) for t in (0.0, 1.0, 3.0)]
     _, *moments = march(body, X, loads, virgin(body, X), Equilibrium(1e-9))
     assert all(moment.report.iterations <= 8 for moment in moments)
 
