@@ -13,6 +13,8 @@ from cicatrix.materials.orientation import Bingham, Fisher, Single, VonMises
 from cicatrix.materials.waviness import Beta, Triangular, Uniform
 from cicatrix.mechanics.body import COMPILER
 
+pytestmark = pytest.mark.xdist_group("fibres")  # compiled once
+
 EQUIBIAXIAL = np.diag([1.3, 1.3, 1.3**-2])
 
 

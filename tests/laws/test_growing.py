@@ -11,6 +11,8 @@ from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.materials.orientation import Single, VonMises
 from cicatrix.mechanics.body import COMPILER
 
+pytestmark = pytest.mark.xdist_group("growing")  # compiled once
+
 TISSUE = NeoHookean(2.0, 30.0)
 advance = jax.jit(lambda law, F, state, dt: law.advance(F, state, dt), compiler_options=COMPILER)
 

@@ -192,7 +192,12 @@ SLOW = ("growing by area", "growing by stress", "growing along stressed fibres",
 SLOW += ("natural state of a natural state",)
 
 
-@pytest.fixture(params=[pytest.param(n, marks=[pytest.mark.slow] * (n in SLOW)) for n in CASES], scope="module")
+def one_worker(name):
+    """A law is compiled once."""
+    return pytest.param(name, marks=[pytest.mark.xdist_group(name), *[pytest.mark.slow] * (name in SLOW)])
+
+
+@pytest.fixture(params=map(one_worker, CASES), scope="module")
 def case(request):
     return CASES[request.param]
 

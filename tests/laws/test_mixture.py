@@ -16,6 +16,8 @@ from cicatrix.materials.mixture import ConstrainedMixture
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.body import COMPILER
 
+pytestmark = pytest.mark.xdist_group("mixture")  # compiled once
+
 
 class Fibre(EnergyMaterial):
     """Fibre along the first axis: mu (x^2 + 2/x - 3), so tau_11 = x dPsi/dx = 2 mu (x^2 - 1/x)."""

@@ -11,6 +11,8 @@ from cicatrix.materials.ogden import Ogden
 from cicatrix.materials.viscoelastic import Viscoelastic
 from cicatrix.mechanics.body import COMPILER
 
+pytestmark = pytest.mark.xdist_group("viscoelastic")  # compiled once
+
 step = jax.jit(lambda law, F, state, dt: law.response(F, state, dt), compiler_options=COMPILER)
 lost = jax.jit(lambda law, F, before, after, dt: law.dissipated(F, before, after, dt), compiler_options=COMPILER)
 PRONY = Viscoelastic(NeoHookean(2.0, 50.0), (0.5, 0.25), (1.0, 10.0))

@@ -19,6 +19,8 @@ from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.march import Load, march, virgin
 from cicatrix.study.equilibrium import solid_body
 
+pytestmark = pytest.mark.xdist_group("march")  # compiled once
+
 GROUND = NeoHookean(2.0, 100.0)
 ORIENTATION = VonMises(2.0, 0.5, 8)
 LAWS = {

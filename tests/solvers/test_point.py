@@ -21,6 +21,8 @@ from cicatrix.mechanics import point_walk
 from cicatrix.mechanics.point import control, history
 from cicatrix.mechanics.point_walk import instants, lead, walk
 
+pytestmark = pytest.mark.xdist_group("point")  # compiled once
+
 MU = 2.0
 TISSUE = NeoHookean(MU)
 TAU = 10.0
