@@ -148,20 +148,29 @@ def _search(model: Callable, measured: Experiment, start: np.ndarray, low: np.nd
     data = np.column_stack(list(measured.stresses.values()))
     span = high - low  # the search is in shares of it
 
-    def whole(t: np.ndarray) -> Array:
-        return (model(low + span * t) - data).ravel()
+    def whole(t: Array) -> tuple[Array, Array]:
+        residual = (model(low + span * t) - data).ravel()
+        return residual, residual
 
-    residual = jax.jit(whole, compiler_options=COMPILER)
-    slope = jax.jit(jax.jacfwd(whole), compiler_options=COMPILER)
-    t = (start - low) / span
+    both = jax.jit(jax.jacfwd(whole, has_aux=True), compiler_options=COMPILER)  # one compilation, which costs the most
+    slopes: dict[bytes, np.ndarray] = {}
+
+    def residual(t: np.ndarray) -> np.ndarray:
+        slope, value = both(t)
+        slopes.clear()
+        slopes[t.tobytes()] = np.asarray(slope)
+        return np.asarray(value)
+
+    def slope(t: np.ndarray) -> np.ndarray:
+        return slopes[t.tobytes()] if t.tobytes() in slopes else np.asarray(both(t)[0])
+
+    t = np.clip((start - low) / span, 1e-9, 1.0 - 1e-9)
     if not np.isfinite(residual(t)).all():
         raise ConvergenceError(
             "the law does not go through the measured stretches where the search starts: start elsewhere"
         )
     ends = {"bounds": (0.0, 1.0), "ftol": EXACT, "xtol": EXACT, "gtol": EXACT, "max_nfev": MOST, "x_scale": "jac"}
-    found = least_squares(
-        lambda t: np.asarray(residual(t)), np.clip(t, 1e-9, 1 - 1e-9), lambda t: np.asarray(slope(t)), **ends
-    )
+    found = least_squares(residual, t, slope, **ends)
     if found.status <= 0:
         raise ConvergenceError(
             f"the search did not end within {MOST} evaluations: narrow the bounds or free fewer parameters"

@@ -18,6 +18,7 @@ NAMES = {
     "lambda_z": r"stretch $\lambda_z$ [1]",
     "shear": r"shear $F_{xy}$ [1]",
 }
+JUMP = 4.0  # times the usual step
 MEASURED, FITTED = "#0072b2", "#d55e00"
 
 
@@ -31,7 +32,7 @@ def fit_figure(columns: Mapping[str, np.ndarray], stresses: Mapping[str, np.ndar
     for (above, below), (name, fitted) in zip(axes.T, stresses.items()):
         data, along = columns[name], columns[AXES[name]]
         above.plot(along, data, "o", color=MEASURED, markersize=4, markerfacecolor="none", label="measured")
-        above.plot(along, fitted, "-", color=FITTED, linewidth=1.5, label="fitted law")
+        above.plot(*_broken(along, fitted), "-", color=FITTED, linewidth=1.5, label="fitted law")
         above.set_xlabel(NAMES[AXES[name]])
         above.set_ylabel(f"Cauchy stress {NAMES[name]} [kPa]")
         above.legend(frameon=False)
@@ -42,3 +43,12 @@ def fit_figure(columns: Mapping[str, np.ndarray], stresses: Mapping[str, np.ndar
         for ax in (above, below):
             ax.grid(alpha=0.3)
     return figure
+
+
+def _broken(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """With a gap where x jumps, as it does from the end of one loading to the start of the next."""
+    steps = np.abs(np.diff(x))
+    if not np.any(steps > 0.0):
+        return x, y
+    jumps = np.flatnonzero(steps > JUMP * np.median(steps[steps > 0.0])) + 1
+    return np.insert(x, jumps, np.nan), np.insert(y, jumps, np.nan)

@@ -33,8 +33,8 @@ def experiment(loading: LoadingTable, columns: Mapping[str, np.ndarray]) -> Expe
     loading : LoadingTable
         Of the case: what happens through the thickness. Its own corners are not used.
     columns : mapping of str to (n,) array
-        ``time_h``, ``lambda_x`` [1], ``sigma_x_kPa``; ``lambda_y`` and ``sigma_y_kPa``, without which y is free of stress; ``shear``
-        and ``sigma_xy_kPa``; ``lambda_z`` and ``sigma_z_kPa`` where the case's loading gives z. Others are left alone.
+        ``time_h``, ``lambda_x`` [1], ``sigma_x_kPa``; ``lambda_y`` and ``sigma_y_kPa``, without which y is free of stress;
+        ``shear`` and ``sigma_xy_kPa``; ``lambda_z`` and ``sigma_z_kPa`` where the case's loading gives z. Others are left alone.
 
     Raises
     ------
