@@ -1,5 +1,7 @@
 """Fibres by their directions and waviness, against closed forms and quadrature by another library."""
 
+from functools import partial
+
 import jax
 import numpy as np
 import pytest
@@ -8,7 +10,11 @@ from scipy.special import i0, i1
 from scipy.stats import beta as beta_density
 
 from cicatrix.core.errors import InputError
+from cicatrix.materials.active import ActiveFibres
+from cicatrix.materials.compose import Sum
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity, exact_to, quadrature_error
+from cicatrix.materials.material import EnergyMaterial
+from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.materials.orientation import Bingham, Fisher, Single, VonMises
 from cicatrix.materials.waviness import Beta, Triangular, Uniform
 from cicatrix.mechanics.body import COMPILER
@@ -185,3 +191,28 @@ def test_quadrature_error_can_be_asked_for():
 def test_bad_parameters_are_named(make, sentence):
     with pytest.raises(InputError, match=sentence):
         make()
+
+
+@pytest.mark.parametrize(
+    "law",
+    [
+        FibreDistribution(2.0, VonMises(2.0, 0.3), Uniform(1.0, 1.4)),
+        FibreDistribution(2.0, Fisher(3.0, n_heights=3)),
+        FibreDistribution(np.array([2.0, 1.0, 3.0]), VonMises(np.array([0.0, 1.0, 5.0]), np.array([0.1, 0.2, 0.3]), 8)),
+        Sum((NeoHookean(1.0, 5.0), FibreDistribution(2.0, VonMises(2.0), Beta(1.0, 1.4)))),
+        ActiveFibres(0.4, VonMises(2.0)),
+    ],
+    ids=["uniform waviness", "in space", "one number per point", "in a sum", "active"],
+)
+def test_response_by_moments_is_the_derived_one(law):
+    """Of virgin elastic fibres, some of them slack."""
+    F = np.eye(3) + 0.3 * np.random.default_rng(5).uniform(-1, 1, (3, 3, 3))
+
+    @partial(jax.jit, compiler_options=COMPILER)
+    def both(law):
+        state = law.initial_state((3,))
+        return law.response(F, state, 1.0), EnergyMaterial.response(law, F, state, 1.0)
+
+    by_moments, derived = both(law)
+    for found, expected in zip(jax.tree.leaves(by_moments), jax.tree.leaves(derived), strict=True):
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.abs(expected).max())

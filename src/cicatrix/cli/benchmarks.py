@@ -65,9 +65,15 @@ def mechanics() -> list[Measurement]:
     return import_module(".bench_mechanics", __package__).mechanics()
 
 
+def laws() -> list[Measurement]:
+    """Stress and tangent of every law per point, on one core, next to NumPy and jaxmat."""
+    return import_module(".bench_laws", __package__).laws()
+
+
 BENCHMARKS: dict[str, Callable[[], list[Measurement]]] = {
     "checkpoint": checkpoint,
     "road2d": road2d,
     "automaton": automaton,
     "mechanics": mechanics,
+    "laws": laws,
 }

@@ -59,3 +59,13 @@ def along(F: Array, a: Array) -> Array:
 def first_invariant(F: Array) -> Array:
     """I1 = tr(F^T F): (..., 3, 3) -> (...)."""
     return jnp.sum(F * F, axis=(-2, -1))
+
+
+def tangent_of(F: Array, S: Array, C: Array) -> tuple[Array, Array]:
+    """P = F S and dP/dF of a second Piola-Kirchhoff stress S (..., 3, 3) and its dS/dE, C (..., 3, 3, 3, 3), both symmetric.
+
+    A_iJkL = delta_ik S_JL + F_iA C_AJBL F_kB: F (..., 3, 3) -> (..., 3, 3), (..., 3, 3, 3, 3).
+    """
+    half = sum(F[..., :, a, None, None, None] * C[..., None, a, :, :, :] for a in range(3))
+    whole = sum(half[..., :, :, None, b, :] * F[..., None, None, :, b, None] for b in range(3))  # pyright: ignore[reportIndexIssue]
+    return product(F, S), whole + IDENTITY[:, None, :, None] * S[..., None, :, None, :]

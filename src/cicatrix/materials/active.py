@@ -7,8 +7,8 @@ from jax import Array
 
 from ..core.law import choice, param
 from ..core.tensors import first_invariant
-from .fibres import ORIENTATIONS, stretches
-from .material import EnergyMaterial, State
+from .fibres import ORIENTATIONS, by_moments, stretches
+from .material import EnergyMaterial, Response, State
 from .orientation import Orientation
 
 
@@ -56,3 +56,7 @@ class ActiveFibres(EnergyMaterial):
         """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]; grows when the tissue is stretched against the pull."""
         stretch, weight = stretches(F, self.orientation)
         return self.tension * jnp.sum(weight * jnp.log(stretch), axis=-1)
+
+    def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
+        """Stress, tangent and no history, by moments of the directions: ``EnergyMaterial.response`` is the twin."""
+        return Response(*by_moments(F, self.orientation, self.tension, lambda x: 0.5 * jnp.log(x)), state)

@@ -3,20 +3,30 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
+from itertools import combinations_with_replacement, product
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from ..core.implicit import solve
 from ..core.law import Law, choice, count, param
-from ..core.tensors import right_cauchy_green
-from .material import EnergyMaterial, State
+from ..core.tensors import right_cauchy_green, tangent_of
+from .material import EnergyMaterial, Response, State
 from .orientation import Bingham, Fisher, Orientation, Single, VonMises
 from .waviness import Beta, Triangular, Uniform, Waviness
 
 ORIENTATIONS = {"von-mises": VonMises, "single": Single, "fisher": Fisher, "bingham": Bingham}
 WAVINESSES = {"uniform": Uniform, "triangular": Triangular, "beta": Beta}
+MONOMIALS = {
+    order: list(combinations_with_replacement(range(3), order)) for order in (2, 4)
+}  # components of V multiplied
+PLACES = {  # which of them every entry of a sum of V x V, or of V x V x V x V, is
+    order: np.array([names.index(tuple(sorted(at))) for at in product(range(3), repeat=order)]).reshape((3,) * order)
+    for order, names in MONOMIALS.items()
+}
 
 
 class FibreViscosity(Law):
@@ -99,6 +109,12 @@ class FibreDistribution(EnergyMaterial):
 
         return strain - solve(residual, jax.lax.stop_gradient(whole / (1.0 + 3.0 * share))[..., None])[..., 0]
 
+    def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
+        """Stress, tangent and new history; of elastic fibres by moments, several times cheaper (:func:`by_moments`)."""
+        if self.viscous is not None:
+            return super().response(F, state, dt)
+        return Response(*by_moments(F, self.orientation, self.mu_f, lambda x: self._elastic(jnp.sqrt(x))), state)
+
     def dissipated(self, F: Array, before: State, after: State, dt: float) -> Array:
         """Sum of dt tau^2 / eta over the fibres, tau as at the end of the step."""
         if self.viscous is None:
@@ -134,11 +150,43 @@ class FibreDistribution(EnergyMaterial):
 
 def stretches(F: Array, orientation: Orientation) -> tuple[Array, Array]:
     """Stretch of the fibres in every direction, and the directions' weights: F (..., 3, 3) -> (..., n) [1], (..., n)."""
+    squared, _, weight = squared_stretches(F, orientation)
+    return jnp.sqrt(squared), weight
+
+
+def squared_stretches(F: Array, orientation: Orientation) -> tuple[Array, Array, Array]:
+    """V . C V of the fibres (..., n) [1], their directions V (..., n, 3) and weights (..., n): of F (..., 3, 3)."""
     V, weight = orientation.directions()
     C = right_cauchy_green(F)[..., None, :, :]
     squared = sum(C[..., i, i] * V[..., i] ** 2 for i in range(3))
     squared += sum(2.0 * C[..., i, j] * V[..., i] * V[..., j] for i, j in ((0, 1), (0, 2), (1, 2)))
-    return jnp.sqrt(squared), weight
+    return squared, V, weight  # pyright: ignore[reportReturnType]
+
+
+def by_moments(
+    F: Array, orientation: Orientation, stiffness: float | Array, energy: Callable[[Array], Array]
+) -> tuple[Array, Array]:
+    r"""P and dP/dF of fibres whose energies add up, by moments of their directions.
+
+    .. math:: S = 2 \sum w_k \psi'(\lambda_k^2) \, V_k \otimes V_k, \qquad
+        \partial S / \partial E = 4 \sum w_k \psi''(\lambda_k^2) \, V_k \otimes V_k \otimes V_k \otimes V_k
+
+    The two derivatives of a fibre's energy are JAX's; ``EnergyMaterial.response`` is the twin.
+
+    Parameters
+    ----------
+    F : (..., 3, 3) [1]
+    orientation : Orientation
+    stiffness : float or (...) array [kPa]
+        What the energy is multiplied with.
+    energy : function, elementwise
+        psi of the squared stretch (..., n) -> (..., n) [1].
+    """
+    squared, V, weight = squared_stretches(F, orientation)
+    slope = jax.grad(lambda x: jnp.sum(energy(x)))
+    first, second = jax.jvp(slope, (squared,), (jnp.ones_like(squared),))
+    share = _trailing(stiffness, squared.ndim) * weight
+    return tangent_of(F, _moment(2.0 * share * first, V, 2), _moment(4.0 * share * second, V, 4))
 
 
 def quadrature_error(law: FibreDistribution, F: Array) -> float:
@@ -170,6 +218,14 @@ def _virgin_stress(law: FibreDistribution, F: Array) -> Array:
 
 def _finer(law: FibreDistribution, factor: int) -> FibreDistribution:
     return dataclasses.replace(law, orientation=law.orientation.finer(factor))
+
+
+def _moment(values: Array, V: Array, order: int) -> Array:
+    """Sum of values (..., n) times V x V (order 2), or V x V x V x V (4): V (..., n, 3) -> (..., 3, 3) or (..., 3, 3, 3, 3)."""
+    monomials = jnp.stack([jnp.prod(V[..., list(name)], axis=-1) for name in MONOMIALS[order]], axis=-1)
+    is_shared = V.ndim == 2
+    sums = values @ monomials if is_shared else jnp.sum(values[..., None] * monomials, axis=-2)
+    return sums[..., PLACES[order]]
 
 
 def _per_fibre(stretch: Array) -> Array:

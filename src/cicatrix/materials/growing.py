@@ -20,7 +20,7 @@ class Growth(Law):
     r"""How tissue grows, and how fast: :math:`\dot g = s / \tau_g`, a stimulus over a time.
 
     The stimulus is the elastic stretch less 1, along fibres, of an area or of the volume; where ``homeostatic`` is given it is
-    the stress over that one, less 1.
+    the stress over that one, less 1, and drives the logarithm of g: tissue under pressure would else shrink to less than nothing.
 
     Parameters
     ----------
@@ -187,7 +187,8 @@ class Growing(EnergyMaterial):
         before, history = state
 
         def grown(coordinates: Array) -> Array:
-            return before + self._rate(product(F, inv(self.growth.tensor(coordinates))), history, dt)
+            share = self._rate(product(F, inv(self.growth.tensor(coordinates))), history, dt)
+            return before + share if self.growth.homeostatic is None else before * jnp.exp(share)
 
         start = self.growth.coordinates(before)
         g = grown(solve(lambda y: y - self.growth.coordinates(grown(y)), start))

@@ -1,0 +1,95 @@
+"""``cicatrix fit CASE.toml DATA.csv --free KEY=LOW..HIGH``: parameters of a law from measured stretches and stresses."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..core.errors import InputError
+from ..io.cases import load_case
+from ..io.measurements import read_measurements
+from .arguments import add_case, add_overrides
+
+if TYPE_CHECKING:
+    from ..inference.fit import Fit
+
+
+def add_parser(verbs: argparse._SubParsersAction) -> None:
+    """Add the verb."""
+    parser = verbs.add_parser("fit", help="find a law's parameters from stretches and stresses", allow_abbrev=False)
+    add_case(parser)
+    words = "columns time_h, lambda_x, sigma_x_kPa, and so on: those of a run's history.csv"
+    parser.add_argument("data", metavar="DATA.csv", type=Path, help=words)
+    words = "a number to find and its bounds, such as law.0.mu_kPa=0.1..10; may be repeated"
+    parser.add_argument("--free", metavar="KEY=LOW..HIGH", action="append", required=True, help=words)
+    parser.add_argument(
+        "--out", metavar="DIR", type=Path, help="the fit's folder (default: fits/NAME of the data file)"
+    )
+    add_overrides(parser)
+    parser.set_defaults(run=run)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit, write the folder, print a line per parameter."""
+    from ..inference.fit import fit  # only this verb needs them, and they take a second to load
+    from ..io.fit_folder import claim_folder, write_fit
+    from ..study.measured import experiment
+    from ..study.point_case import PointCase
+
+    bounds = dict(map(_bounds, args.free))
+    case = load_case(args.case, args.set)
+    if not isinstance(case, PointCase):
+        raise InputError(f'{args.case}: kind must be "material-point" for a fit; got "{case.kind}"')
+    columns = read_measurements(args.data)
+    try:
+        measured = experiment(case.loading, columns)
+    except InputError as error:
+        raise InputError(f"{args.data}: {error}") from None
+    folder = claim_folder(args.out or Path("fits") / args.data.stem)
+    found = fit(case, measured, bounds)
+    write_fit(
+        folder, case, _told(found, bounds), dict(zip(found.keys, found.estimates.tolist())), columns, found.stresses
+    )
+    _print(found, folder)
+    return 0
+
+
+def _bounds(text: str) -> tuple[str, tuple[float, float]]:
+    key, equals, span = text.partition("=")
+    low, dots, high = span.partition("..")
+    try:
+        ends = float(low), float(high)
+    except ValueError:
+        ends = None
+    if not (key and equals and dots and ends) or not all(abs(end) < float("inf") for end in ends):
+        raise InputError(f"--free {text}: must read KEY=LOW..HIGH, such as law.0.mu_kPa=0.1..10")
+    return key.strip().replace("[", ".").replace("]", ""), ends
+
+
+def _told(found: Fit, bounds: dict[str, tuple[float, float]]) -> dict[str, Any]:
+    """What goes to ``fit.json``."""
+    errors = zip(found.keys, found.estimates, found.standard_errors, strict=True)
+    return {
+        "parameters": {
+            key: {"estimate": value, "standard_error": error, "bounds": bounds[key]} for key, value, error in errors
+        },
+        "covariance": found.covariance,
+        "correlation": found.correlation,
+        "residual_rms_kPa": found.rms_kPa,
+        "r_squared": found.r_squared,
+        "n_data": sum(map(len, found.stresses.values())),
+        "condition": found.condition,
+        "evaluations": found.evaluations,
+        "notes": found.notes,
+    }
+
+
+def _print(found: Fit, folder: Path) -> None:
+    for key, value, error in zip(found.keys, found.estimates, found.standard_errors, strict=True):
+        print(f"{key:<32} {value:12.6g} +- {error:.2g}")
+    for name, rms in found.rms_kPa.items():
+        print(f"{name:<32} residual {rms:.3g} kPa (rms), R^2 {found.r_squared[name]:.5f}")
+    for note in found.notes:
+        print(note)
+    print(f"written to {folder}: fit.json, fitted.toml, residuals.csv, figures/fit.png")

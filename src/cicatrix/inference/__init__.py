@@ -1,0 +1,1 @@
+"""Many runs: parameters found from data."""

@@ -1,0 +1,91 @@
+"""``cicatrix fit``: a folder that reads back, and one sentence where the input is at fault."""
+
+import json
+
+import numpy as np
+import pytest
+
+import cicatrix
+from cicatrix.cli.main import main
+from cicatrix.io.toml import toml_text
+
+CASE = """kind = "material-point"
+[[law]]
+type = "neo-hookean"
+mu_kPa = 1.0
+[loading]
+time_h = [0.0, 1.0]
+x = [1.0, 1.2]
+"""
+FREE = ("--free", "law.0.mu_kPa=0.1..20")
+
+
+@pytest.fixture
+def files(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "case.toml").write_text(CASE)
+    stretch = np.linspace(1.0, 1.5, 8)
+    stress = 5.0 * (stretch**2 - 1 / stretch)  # by hand: uniaxial, incompressible, mu = 5 kPa
+    rows = [f"{0.1 * row},{x!r},{s!r}" for row, (x, s) in enumerate(zip(stretch.tolist(), stress.tolist()))]
+    (tmp_path / "data.csv").write_text("\n".join(["time_h,lambda_x,sigma_x_kPa", *rows]) + "\n")
+    return tmp_path
+
+
+def test_folder_of_a_fit(files, capsys):
+    assert main(["fit", "case.toml", "data.csv", *FREE, "--out", "found"]) == 0
+    told = json.loads((files / "found" / "fit.json").read_text())
+    assert told["parameters"]["law.0.mu_kPa"]["estimate"] == pytest.approx(5.0, rel=1e-9)
+    assert told["n_data"] == 8
+    assert cicatrix.load_case(files / "found" / "fitted.toml").law[0].mu_kPa == pytest.approx(5.0)
+    residuals = np.genfromtxt(files / "found" / "residuals.csv", delimiter=",", names=True)
+    assert np.abs(residuals["residual_sigma_x_kPa"]).max() < 1e-8
+    assert (files / "found" / "figures" / "fit.png").stat().st_size > 10_000
+    assert "law.0.mu_kPa" in capsys.readouterr().out
+    assert main(["fit", "case.toml", "data.csv", *FREE, "--out", "found"]) == 2
+    assert "found is there already" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("free", "words"),
+    [
+        ("law.0.mu=1..2", "law.0.mu is no number of a law that can be fitted; did you mean law.0.mu_kPa?"),
+        ("law.0.mu_kPa", "must read KEY=LOW..HIGH"),
+        ("law.0.mu_kPa=a..b", "must read KEY=LOW..HIGH"),
+        ("law.0.mu_kPa=2..1", "the bounds must ascend"),
+        ("law.0.mu_kPa=0..nan", "must read KEY=LOW..HIGH"),
+    ],
+)
+def test_wrong_wish_is_one_sentence(files, capsys, free, words):
+    assert main(["fit", "case.toml", "data.csv", "--free", free]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("time_h,lambda_x\n0,1\n", "data.csv: column sigma_x_kPa is missing; there are time_h, lambda_x"),
+        ("time_h,lambda_x,sigma_x_kPa\n0,1,\n", "column sigma_x_kPa has no number in row 1"),
+        ("time_h,lambda_x,sigma_x_kPa\n0,1\n", "row 2 must have 3 columns"),
+        ("", "must have a row of column names"),
+    ],
+)
+def test_wrong_data_are_one_sentence(files, capsys, text, words):
+    (files / "data.csv").write_text(text)
+    assert main(["fit", "case.toml", "data.csv", *FREE]) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert said.count("\n") == 1
+
+
+def test_toml_reads_back():
+    import tomllib
+
+    tables = {
+        "kind": "a",
+        "law": [{"type": "b", "part": {"x": 1.5, "y": [1, 2]}, "none": None}],
+        "run": {"is_on": True},
+    }
+    again = tomllib.loads(toml_text(tables))
+    assert again == {"kind": "a", "law": [{"type": "b", "part": {"x": 1.5, "y": [1, 2]}}], "run": {"is_on": True}}
