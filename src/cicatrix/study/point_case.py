@@ -127,6 +127,9 @@ class PointCase(Table):
         except InputError as error:
             raise fault("growth", f"is at fault: {error}") from None
         thickness = self.loading.thickness
+        if thickness == "incompressible" and _heeds_mean_stress(self.growth):
+            words = "must not heed the mean stress of incompressible tissue, of which a law knows nothing: leave it out, or give"
+            raise fault("growth.homeostatic_kPa", f'{words} loading.plane = "stress" or "strain"')
         if thickness != "incompressible" and not has_bulk_modulus(law_of(self)):
             word = "loading.z" if thickness == "given" else f'loading.plane = "{thickness}"'
             raise fault("law", f"must bear change of volume for {word}: give kappa_kPa of a part a value above 0")
@@ -136,3 +139,7 @@ class PointCase(Table):
 def law_of(case: PointCase) -> EnergyMaterial:
     """Make the law of a case."""
     return composed(case.law, case.growth)
+
+
+def _heeds_mean_stress(growth: Any) -> bool:
+    return getattr(growth, "type", None) == "volume" and growth.homeostatic_kPa is not None
