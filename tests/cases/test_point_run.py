@@ -232,7 +232,8 @@ FAULTS = {
     ),
     "fibres straight before they are": (
         [
-            "law=[{type='fibre-distribution', mu_f_kPa=1, orientation={type='single'}, waviness={type='uniform', low=0.9, high=2}}]"
+            "law=[{type='fibre-distribution', mu_f_kPa=1, orientation={type='single'}, "
+            "waviness={type='uniform', low=0.9, high=2}}]"
         ],
         "law[0].waviness.low must be at least 1; got 0.9",
     ),
