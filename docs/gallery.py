@@ -32,6 +32,7 @@ DOCS = Path(__file__).parent
 EXAMPLES = DOCS.parent / "examples" / "laws"
 TOP, SHEAR = 1.3, 0.5  # stretch, and shear, at the top
 N_STEPS = 40  # up, and again down
+QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}  # each is compiled for one run
 LOADINGS = {"along x": "#0072b2", "along x and y": "#d55e00", "shear": "#009e73"}
 PARTS = {
     "Orientations": ORIENTATIONS,
@@ -66,7 +67,7 @@ def response(case: PointCase) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
     law, keeps_volume = law_of(case), case.loading.thickness == "incompressible"
     seconds = 3600.0 * (case.loading.time_h[-1] - case.loading.time_h[0])
     times = [0.0, 0.5 * seconds, seconds]
-    led = jax.jit(history)
+    led = jax.jit(history, compiler_options=QUICK)
     for name in LOADINGS:
         y = "stress" if name == "along x" else "stretch"
         by: Control = control(y=y, incompressible=keeps_volume)
