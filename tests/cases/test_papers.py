@@ -14,6 +14,8 @@ from cicatrix.core.errors import InputError
 PAPERS = Path(__file__).parents[2] / "papers"
 FIGURES = ["garbey-2013-fig2", "garbey-2013-fig5", "garbey-2013-fig6"]
 COARSE = ["image.voxel_mm=3.0", "healing.pitch_um=100", "mesh.edge_mm=6.0", "mesh.cavity_edge_mm=2.0"]
+POINTS = ["guo-2022-fig2", "guo-2022-fig3"]
+FEWER = ["law.1.orientation.n_angles=12", "law.1.viscous.n_waviness=32", "loading.repeat=2"]
 
 
 def script(name: str):
@@ -31,6 +33,13 @@ def test_claims_come_out_on_a_coarse_mesh_too(name):
         expected = {row["claim"]: row["holds"] == "yes" for row in csv.DictReader(file)}
     rows = paper.table(paper.measure((1, 2), COARSE)[0])
     assert {claim: holds for claim, _, holds in rows} == expected, rows
+
+
+def test_viscous_fibres_come_out_with_fewer_of_them_too():
+    """Growth, Fig. 3, takes longer to compile than that: with the slow ones."""
+    paper = script("guo-2022-fig2")
+    rows = paper.table(paper.measure([*FEWER, "solver.relative_tolerance=5e-3"]))
+    assert all(holds for _, _, holds in rows), rows
 
 
 def test_the_level_set_teleports_and_paths_do_not():
@@ -61,7 +70,7 @@ def test_the_published_compression_is_found_again_with_the_same_rounding():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*FIGURES, "clinic-closure", "level-set-teleports"])
+@pytest.mark.parametrize("name", [*FIGURES, *POINTS, "clinic-closure", "level-set-teleports"])
 def test_the_whole_table_is_as_expected(name, tmp_path):
     """Each script says itself, by its exit code, whether its table is that of expected.csv."""
     done = subprocess.run([sys.executable, PAPERS / name / "run.py"], capture_output=True, text=True)

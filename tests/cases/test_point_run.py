@@ -168,7 +168,10 @@ def test_a_law_that_jumps_is_told(case_file, monkeypatch):
 FAULTS = {
     "negative": (["law[0].mu_kPa=-1"], "law[0].mu_kPa must be at least 0; got -1"),
     "near key": (["law.0.mu=1"], "law[0].mu is not a known key; did you mean law[0].mu_kPa?"),
-    "strange key": (["law.0.xyz=1"], "law[0].xyz is not a known key; known in [law[0]]: type, mu_kPa, kappa_kPa"),
+    "strange key": (
+        ["law.0.xyz=1"],
+        "law[0].xyz is not a known key; known in [law[0]]: type, mu_kPa, kappa_kPa, viscous",
+    ),
     "law is a number": (["law=3"], "law must be a list; got 3"),
     "law of numbers": (["law=[3]"], "law[0] must be a table; got 3"),
     "no law": (["law=[]"], "law must be at least one table [[law]]"),
@@ -206,6 +209,66 @@ FAULTS = {
     "both z and plane": (
         ["loading.z=[1,1,1]", "loading.plane=strain", "law.0.kappa_kPa=1"],
         "loading.plane says what happens along z, which is given: leave one of the two out",
+    ),
+    "branches of two lengths": (
+        ["law.0.viscous={beta=[1, 2], relaxation_s=[1]}"],
+        "law[0].viscous.relaxation_s must be as many as beta (2); got 1",
+    ),
+    "no branch": (
+        ["law.0.viscous={beta=[], relaxation_s=[]}"],
+        "law[0].viscous.beta must be a number or a list of one at least",
+    ),
+    "negative branch": (
+        ["law.0.viscous={beta=[1, -1], relaxation_s=[1, 2]}"],
+        "law[0].viscous.beta[1] must be at least 0; got -1",
+    ),
+    "branch without time": (
+        ["law.0.viscous={beta=1, relaxation_s=0}"],
+        "law[0].viscous.relaxation_s[0] must be above 0; got 0",
+    ),
+    "fibres about no axis": (
+        ["law=[{type='active-fibres', tension_kPa=1, orientation={type='fisher', concentration=1, axis=[0, 0, 0]}}]"],
+        "law[0] is at fault: Fisher.axis must be three numbers that are not all 0; got [0.0, 0.0, 0.0].",
+    ),
+    "fibres straight before they are": (
+        [
+            "law=[{type='fibre-distribution', mu_f_kPa=1, orientation={type='single'}, "
+            "waviness={type='uniform', low=0.9, high=2}}]"
+        ],
+        "law[0].waviness.low must be at least 1; got 0.9",
+    ),
+    "fibres of no direction": (["law=[{type='fibre-distribution', mu_f_kPa=1}]"], "law[0].orientation is missing"),
+    "two growths": (
+        [
+            "law=[{type='fibre-distribution', mu_f_kPa=1, orientation={type='single'}, growth={tau_h=1}}]",
+            "growth={type='area', tau_h=1}",
+        ],
+        "growth is at fault: growth must be said once, for the whole tissue",
+    ),
+    "growth inside a mixture": (
+        [
+            "law=[{type='constrained-mixture', constituent=[{fraction=1, law={type='fibre-distribution', mu_f_kPa=1, "
+            "orientation={type='single'}, growth={tau_h=1}}}]}]"
+        ],
+        "law[0] is at fault: a law inside another one must not grow: say growth beside type, or as table [growth]",
+    ),
+    "growth by a stress that nothing knows": (
+        ["growth={type='volume', tau_h=1, homeostatic_kPa=1}", "law.0.kappa_kPa=1"],
+        "growth.homeostatic_kPa must not heed the mean stress of incompressible tissue, of which a law knows nothing: "
+        'leave it out, or give loading.plane = "stress" or "strain"',
+    ),
+    "too much of everything": (
+        [
+            "law=[{type='constrained-mixture', constituent=[{fraction=0.6, law={type='neo-hookean', mu_kPa=1}}, "
+            "{fraction=0.6, law={type='neo-hookean', mu_kPa=1}}]}]"
+        ],
+        "law[0] is at fault: ConstrainedMixture.constituents: fractions must add up to 1 or less; got 1.2.",
+    ),
+    "replaced at once": (
+        [
+            "law=[{type='constrained-mixture', constituent=[{fraction=1, law={type='neo-hookean', mu_kPa=1}, lifetime_h=0}]}]"
+        ],
+        "law[0].constituent[0].lifetime_h must be at least 0.000277778; got 0",
     ),
     "no cycle": (["loading.repeat=2"], "loading.x must end where it starts for repeat = 2; got 1 and 1.2"),
 }

@@ -185,7 +185,7 @@ def test_quadrature_error_can_be_asked_for():
         (lambda: Triangular(1.4, 1.2), r"Triangular.high must be above low; got low = 1.4, high = 1.2"),
         (lambda: Beta(1.0, 1.4, 0.5, 1.0), r"Beta.p \(p\) must lie in \[1, 50\]"),
         (lambda: VonMises(-1.0), r"VonMises.concentration \(c\) must lie in"),
-        (lambda: Fisher(1.0, (0.0, 0.0, 0.0)).directions(), r"Fisher.axis must be three numbers that are not all 0"),
+        (lambda: Fisher(1.0, (0.0, 0.0, 0.0)), r"Fisher.axis must be three numbers that are not all 0"),
     ],
 )
 def test_bad_parameters_are_named(make, sentence):

@@ -86,3 +86,10 @@ def test_branches_need_their_times():
         Viscoelastic(NeoHookean(1.0), (0.5, 0.5), (1.0,))
     with pytest.raises(InputError, match=r"Viscoelastic.beta \(beta\) must lie in \[0, inf\]"):
         Viscoelastic(NeoHookean(1.0), (0.5, -0.5), (1.0, 1.0))
+
+
+def test_branches_beside_what_does_not_resist_do_nothing():
+    state = Viscoelastic(NeoHookean(0.0), (0.5,), (1.0,)).initial_state(())
+    answer = step(Viscoelastic(NeoHookean(0.0), (0.5,), (1.0,)), np.diag([1.2, 1.0, 1.0]), state, 1.0)
+    np.testing.assert_array_equal(answer.P, np.zeros((3, 3)))
+    assert np.isfinite(np.asarray(answer.state)).all()

@@ -12,9 +12,10 @@ import cicatrix
 from cicatrix.core.errors import InputError
 from cicatrix.inference.fit import fit, stresses_of
 from cicatrix.mechanics.body import COMPILER
+from cicatrix.study.laws import law_of
 from cicatrix.study.measured import experiment
 from cicatrix.study.parameters import parameters_of, replaced
-from cicatrix.study.point_case import PointCase, law_of
+from cicatrix.study.point_case import PointCase
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "fit"
 LOADING = {"plane": "incompressible", "time_h": [0.0, 1.0], "x": [1.0, 1.2], "y": [1.0, 1.2]}

@@ -22,9 +22,10 @@ from ..core.errors import ConvergenceError, InputError
 from ..mechanics.body import COMPILER
 from ..mechanics.point import Instant, history
 from ..mechanics.point_walk import lead
+from ..study.laws import law_of
 from ..study.measured import STRESSES, Experiment
 from ..study.parameters import known, replaced
-from ..study.point_case import PointCase, law_of
+from ..study.point_case import PointCase
 
 EXACT = 1e-13  # of the sum of squares, of the parameters, of the gradient: where the search ends
 MOST = 200  # evaluations

@@ -106,6 +106,12 @@ class Fisher(Orientation):
     axis: tuple[float, ...] = param("1", "a", default=(1.0, 0.0, 0.0), static=True)
     n_heights: int = count("n", low=2, high=256, default=12)
 
+    def __check_init__(self):
+        super().__check_init__()
+        a = np.asarray(self.axis, float)
+        if a.shape != (3,) or not 0.0 < np.linalg.norm(a) < np.inf:
+            raise InputError(f"Fisher.axis must be three numbers that are not all 0; got {list(self.axis)}.")
+
     def finer(self, factor: int) -> Fisher:
         """With ``factor`` times as many."""
         return dataclasses.replace(self, n_heights=factor * self.n_heights)
@@ -154,8 +160,6 @@ class Bingham(Orientation):
 def _frame(axis: tuple[float, ...]) -> np.ndarray:
     """Orthonormal columns, the third along the axis."""
     a = np.asarray(axis, float)
-    if a.shape != (3,) or not np.linalg.norm(a) > 0.0:
-        raise InputError(f"Fisher.axis must be three numbers that are not all 0; got {list(axis)}.")
     q, _ = np.linalg.qr(np.column_stack([a, np.eye(3)[np.argsort(np.abs(a))[:2]].T]))
     return np.column_stack([q[:, 1], q[:, 2], a / np.linalg.norm(a)])
 

@@ -39,7 +39,7 @@ class Viscoelastic(EnergyMaterial):
     Raises
     ------
     InputError
-        If there are not as many of the one as of the other.
+        If there is no branch, or not as many of the one as of the other.
     """
 
     law: EnergyMaterial
@@ -48,6 +48,8 @@ class Viscoelastic(EnergyMaterial):
 
     def __check_init__(self):
         super().__check_init__()
+        if not self.beta:
+            raise InputError("Viscoelastic.beta is empty: give one branch at least.")
         if len(self.beta) != len(self.relaxation):
             raise InputError(
                 f"Viscoelastic.relaxation must have one time per branch: {len(self.beta)}; got {len(self.relaxation)}."
@@ -101,9 +103,10 @@ def _spring(law: EnergyMaterial, F_e: Array) -> Array:
 
 
 def _shear_modulus(law: EnergyMaterial, shape: tuple[int, ...]) -> Array:
-    """At rest (...) [kPa]; one number where the law's parameters are the same at all points."""
+    """At rest (...) [kPa]; one number where the law's parameters are the same at all points; 1 where nothing resists."""
     is_uniform = all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(law))
-    return law.moduli_at_rest(() if is_uniform else shape)[0]
+    mu = law.moduli_at_rest(() if is_uniform else shape)[0]
+    return jnp.where(mu > 0.0, mu, 1.0)
 
 
 def _flow(c: Array, law: EnergyMaterial, mu: Array, steps: Array) -> Array:

@@ -19,7 +19,13 @@ SHARPEST = 1e-13  # share of the support below which no fibre counts: keeps powe
 
 
 class Waviness(Law):
-    """A density of the stretch at which fibres are straight."""
+    """A density of the stretch at which fibres are straight.
+
+    Parameters
+    ----------
+    low, high : float or (...) array [1]
+        Stretch at which the first fibres are straight, and that at which all are.
+    """
 
     low: float | Array = param("1", "lambda_1", low=1.0)
     high: float | Array = param("1", "lambda_2", low=1.0)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, ClassVar, ForwardRef, Literal, Optional, Prot
 
 import numpy as np
 from jax import Array
-from pydantic import BeforeValidator, Discriminator, StrictBool, Tag, create_model
+from pydantic import BeforeValidator, Discriminator, StrictBool, Tag, create_model, model_validator
 
 from ..core.errors import InputError
 from ..core.law import Law
@@ -50,16 +50,22 @@ GROWTHS: dict[str, type[Growth]] = {"fibre": FibreGrowth, "area": AreaGrowth, "v
 ISOTROPIC = (NeoHookean, MooneyRivlin, Ogden)  # laws that may have viscous branches, each a share of them
 
 
-Numbers = Annotated[
-    tuple[Number, ...], BeforeValidator(lambda value: value if isinstance(value, list | tuple) else [value])
-]
+_LISTED = BeforeValidator(lambda value: value if isinstance(value, list | tuple) else [value])
 
 
 class SeriesTable(Table):
     """Maxwell branches beside an isotropic law, one number for each or a list: :class:`..materials.viscoelastic.Viscoelastic`."""
 
-    beta: Numbers
-    relaxation_s: Numbers
+    beta: Annotated[tuple[Annotated[Number, limits(least=0.0)], ...], _LISTED]
+    relaxation_s: Annotated[tuple[Annotated[Number, limits(above=0.0)], ...], _LISTED]
+
+    @model_validator(mode="after")
+    def _is_one_of_each(self) -> SeriesTable:
+        if not self.beta:
+            raise fault("beta", "must be a number or a list of one at least")
+        if len(self.beta) != len(self.relaxation_s):
+            raise fault("relaxation_s", f"must be as many as beta ({len(self.beta)}); got {len(self.relaxation_s)}")
+        return self
 
 
 class FibresGrowTable(Table):
@@ -193,6 +199,8 @@ def _number(field: dataclasses.Field, is_real: bool) -> Any:
 def _inner(value: Any, field: dataclasses.Field) -> Any:
     """From what is typed to what the law counts in."""
     if isinstance(value, LawTable):
+        if value.growth_of_fibres() is not None:
+            raise InputError("a law inside another one must not grow: say growth beside type, or as table [growth]")
         return value.build()
     if isinstance(value, tuple):
         return tuple(_inner(item, field) for item in value)

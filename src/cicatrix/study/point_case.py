@@ -110,7 +110,14 @@ class PointCase(Table):
             raise fault("law", "must be at least one table [[law]]")
         law = law_of(self)
         thickness = self.loading.thickness
+        if thickness == "incompressible" and _heeds_mean_stress(self.growth):
+            words = "must not heed the mean stress of incompressible tissue, of which a law knows nothing: leave it out, or give"
+            raise fault("growth.homeostatic_kPa", f'{words} loading.plane = "stress" or "strain"')
         if thickness != "incompressible" and not has_bulk_modulus(law):
             word = "loading.z" if thickness == "given" else f'loading.plane = "{thickness}"'
             raise fault("law", f"must bear change of volume for {word}: give kappa_kPa of a part a value above 0")
         return self
+
+
+def _heeds_mean_stress(growth: Any) -> bool:
+    return getattr(growth, "type", None) == "volume" and growth.homeostatic_kPa is not None
