@@ -1,6 +1,6 @@
 """Write biaxial.csv: what a tester would measure of a tissue whose numbers are known, noise included.
 
-Three ramps, equal stretch, more along x and more along y, each to 1.25 and back to rest; noise of 0.05 kPa, seed 1.
+Three ramps, equal stretch, more along x and more along y, each up to 1.25; noise of 0.05 kPa, seed 1.
 """
 
 import csv

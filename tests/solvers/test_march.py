@@ -53,22 +53,35 @@ def path(k):
     return np.eye(3) + k * np.array([[0.08, 0.05, 0.0], [0.0, -0.03, 0.02], [0.0, 0.0, -0.02]])
 
 
-@pytest.mark.parametrize("name", ["viscous fibres", "growing", pytest.param("viscoelastic", marks=pytest.mark.slow)])
-def test_a_homogeneous_cube_is_a_material_point(name):
-    """All its surface moved alike: the node inside follows, and history and stress are those of a point."""
-    law = LAWS[name]
-    body = cube(law, lambda points: np.arange(len(points)) < 8)
+def is_a_point(body, law, F_of):
+    """Held nodes moved alike: the others follow, and history and stress are those of a point."""
     X = body.frame.space.positions
-    loads = [Load(t, np.zeros(3), held_at=X @ path(k).T) for k, t in enumerate(TIMES, 1)]
+    loads = [Load(t, np.zeros(3), held_at=X @ F_of(k).T) for k, t in enumerate(TIMES, 1)]
     state, before = law.initial_state(()), 0.0
     for k, moment in enumerate(march(body, X, loads, virgin(body, X), Equilibrium(1e-12)), 1):
-        answer = step(law, path(k), state, moment.time - before)
-        np.testing.assert_allclose(moment.x, X @ path(k).T, atol=1e-10)
+        answer = step(law, F_of(k), state, moment.time - before)
+        np.testing.assert_allclose(moment.x, X @ F_of(k).T, atol=1e-10)
         state, before = answer.state, moment.time
         for found, expected in zip(jax.tree.leaves(moment.state), jax.tree.leaves(state), strict=True):
             np.testing.assert_allclose(found, np.broadcast_to(expected, found.shape), atol=1e-10)
         P = law.stress(body.law_gradient(X, moment.x), moment.state)
         np.testing.assert_allclose(P, np.broadcast_to(answer.P, P.shape), atol=1e-10 * np.abs(answer.P).max())
+
+
+@pytest.mark.parametrize("name", ["viscous fibres", "growing", pytest.param("viscoelastic", marks=pytest.mark.slow)])
+def test_a_homogeneous_cube_is_a_material_point(name):
+    is_a_point(cube(LAWS[name], lambda points: np.arange(len(points)) < 8), LAWS[name], path)
+
+
+def in_plane(k):
+    """Of a section, whose normal keeps its length."""
+    return np.eye(3) + k * np.array([[0.08, 0.05, 0.0], [0.0, -0.03, 0.0], [0.0, 0.0, 0.0]])
+
+
+def test_a_homogeneous_section_is_a_material_point(rectangle, body_on):
+    law, side = LAWS["viscous fibres"], 10.0
+    border = lambda p: (np.abs(p[:2] - side / 2) > side / 2 - 1e-9).any(axis=0)  # noqa: E731
+    is_a_point(body_on(rectangle(side, side, 2, 2), law, border, density=1e-6), law, in_plane)
 
 
 def test_viscous_tissue_sags_on_and_stops_at_its_law():
