@@ -243,7 +243,7 @@ FAULTS = {
             "law=[{type='fibre-distribution', mu_f_kPa=1, orientation={type='single'}, growth={tau_h=1}}]",
             "growth={type='area', tau_h=1}",
         ],
-        "growth is at fault: growth must be said once, for the whole tissue",
+        "growth must be said once, for the whole tissue",
     ),
     "growth inside a mixture": (
         [
@@ -322,7 +322,7 @@ def test_settings_reach_into_lists(case_file):
     law = law_of(case)
     assert isinstance(law, NeoHookean)
     assert (law.mu, law.kappa, case.loading.x) == (3.0, 4.0, (1.0, 1.1, 1.2))
-    assert case_table(case)["law"] == [{"type": "neo-hookean", "mu_kPa": 3.0, "kappa_kPa": 4.0}]
+    assert case_table(case)["law"] == [{"type": "neo-hookean", "mu_kPa": 3.0, "kappa_kPa": 4.0, "viscous": None}]
     for setting, words in (("law.1.mu_kPa=3", "law is a list"), ("law.mu_kPa=3", "law is a list")):
         (sentence,) = check_case(case_file(LAW + LOADING), [setting])
         assert words in sentence
