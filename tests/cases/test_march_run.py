@@ -63,7 +63,7 @@ def test_viscous_tissue_creeps(case, tmp_path):
         with pytest.raises(KeyboardInterrupt):
             cicatrix.simulate(load_case(path), tmp_path / "stopped")
     cicatrix.simulate(load_case(path), tmp_path / "stopped", resume=True)
-    for name in ("history.csv", "fields/body-000004.vtu"):
+    for name in ("history.csv", "fields/body-0004.vtu"):
         assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 

@@ -9,7 +9,7 @@ import jax
 from pydantic import model_validator
 
 from .case import Table
-from .laws import AnyGrowth, AnyLaw, has_bulk_modulus, law_of
+from .laws import AnyGrowth, AnyLaw, checked_law, has_bulk_modulus
 from .limits import Integer, Number, Times, Vector, fault, limits
 
 
@@ -73,7 +73,7 @@ class EquilibriumCase(Table):
     def _goes_together(self) -> EquilibriumCase:
         if not self.law and self.growth:
             raise fault("growth", "needs a tissue: give [[law]]")
-        law = law_of(self) if self.law else None
+        law = checked_law(self) if self.law else None
         if law is not None and not has_bulk_modulus(law):
             raise fault("law", "must bear change of volume in a body: give kappa_kPa of a part a value above 0")
         if law is not None and self.history is None and jax.tree.leaves(law.initial_state((1,))):

@@ -231,21 +231,32 @@ def law_of(case: NamesALaw) -> EnergyMaterial:
 
     Raises
     ------
-    PydanticCustomError
-        If values do not go together, or growth is said more than once; it names the table.
+    InputError
+        If values do not go together, or growth is said more than once.
     """
-    parts = [_told(f"law[{number}]", table.build) for number, table in enumerate(case.law)]
+    parts: tuple[Any, ...] = tuple(table.build() for table in case.law)
     growths = [grown for table in case.law if (grown := table.growth_of_fibres())]
-    if case.growth:
-        growths.append(_told("growth", case.growth.build))
+    growths += [case.growth.build()] if case.growth else []
     if len(growths) > 1:
-        raise fault("growth", "must be said once, for the whole tissue")
-    law = parts[0] if len(parts) == 1 else Sum(tuple(parts))
+        raise InputError("growth must be said once, for the whole tissue")
+    law = parts[0] if len(parts) == 1 else Sum(parts)
     return Growing(law, *growths) if growths else law
 
 
-def _told(key: str, build: Callable[[], Any]) -> Any:
+def checked_law(case: NamesALaw) -> EnergyMaterial:
+    """``law_of`` while the case is checked: what is at fault is told with its table."""
+    for number, table in enumerate(case.law):
+        _told(f"law[{number}]", table.build)
+    if case.growth:
+        _told("growth", case.growth.build)
     try:
-        return build()
+        return law_of(case)
+    except InputError as error:
+        raise fault("growth", str(error).removeprefix("growth ")) from None
+
+
+def _told(key: str, build: Callable[[], Any]) -> None:
+    try:
+        build()
     except InputError as error:
         raise fault(key, f"is at fault: {error}") from None

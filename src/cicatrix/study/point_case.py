@@ -8,7 +8,7 @@ from pydantic import BeforeValidator, model_validator
 from pydantic_core import PydanticCustomError
 
 from .case import Table
-from .laws import AnyGrowth, AnyLaw, has_bulk_modulus, law_of
+from .laws import AnyGrowth, AnyLaw, checked_law, has_bulk_modulus
 from .limits import OUT_OF_RANGE, Integer, Number, Times, fault, limits
 
 Quantity = Literal["stretch", "stress"]
@@ -108,7 +108,7 @@ class PointCase(Table):
     def _makes_a_law(self) -> PointCase:
         if not self.law:
             raise fault("law", "must be at least one table [[law]]")
-        law = law_of(self)
+        law = checked_law(self)
         thickness = self.loading.thickness
         if thickness == "incompressible" and _heeds_mean_stress(self.growth):
             words = "must not heed the mean stress of incompressible tissue, of which a law knows nothing: leave it out, or give"
