@@ -45,6 +45,7 @@ def test_long_steps_leave_the_law_alone():
     np.testing.assert_allclose(np.linalg.det(np.asarray(state)), 1.0, rtol=1e-12)
 
 
+@pytest.mark.slow
 def test_large_stretch_against_another_integrator():
     """Pulled to 2 at constant volume in 3 s, t_r = 1 s: logarithmic strains along fixed axes, by LSODA to 1e-10."""
     law, alpha = Ogden(2.0, 5.0, 50.0), 5.0

@@ -68,7 +68,9 @@ def is_a_point(body, law, F_of):
         np.testing.assert_allclose(P, np.broadcast_to(answer.P, P.shape), atol=1e-10 * np.abs(answer.P).max())
 
 
-@pytest.mark.parametrize("name", ["viscous fibres", "growing", pytest.param("viscoelastic", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "name", ["viscous fibres", *(pytest.param(name, marks=pytest.mark.slow) for name in ("growing", "viscoelastic"))]
+)
 def test_a_homogeneous_cube_is_a_material_point(name):
     is_a_point(cube(LAWS[name], lambda points: np.arange(len(points)) < 8), LAWS[name], path)
 
