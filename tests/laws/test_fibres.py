@@ -1,5 +1,7 @@
 """Fibres by their directions and waviness, against closed forms and quadrature by another library."""
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -174,6 +176,19 @@ def test_quadrature_error_can_be_asked_for():
     assert fine.orientation.n_angles <= 1024
     with pytest.raises(InputError, match=r"VonMises.n_angles \(n\) must lie in \[2, 4096\]"):
         exact_to(FibreDistribution(2.0, VonMises(8.0, n_angles=1024), Uniform(1.0, 1.4)), 1e-300, F)
+
+
+def test_quadrature_error_is_that_of_waviness_too():
+    """Of one direction, only waviness is summed: against the closed form of the elastic part, which the branch at once equals."""
+    F = np.stack([np.diag([x, x**-0.5, x**-0.5]) for x in (1.1, 1.2, 1.35)])
+    elastic = FibreDistribution(2.0, Single(0.0), Uniform(1.0, 1.4))
+    exact = np.asarray(elastic.stress(F))
+    coarse = replace(elastic, viscous=FibreViscosity(1.0, 1.0, 3))
+    branch = np.asarray(coarse.stress(F, coarse.initial_state((3,)))) - exact
+    true = np.abs(branch - exact).max() / (2.0 * np.abs(exact).max())
+    assert true > 1e-3
+    assert quadrature_error(coarse, F) == pytest.approx(true, rel=0.3)
+    assert quadrature_error(exact_to(coarse, 1e-4, F), F) <= 1e-4
 
 
 @pytest.mark.parametrize(

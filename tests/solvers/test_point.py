@@ -1,7 +1,6 @@
 """One point under stretches and stresses: closed forms, history, growth, derivatives with respect to parameters."""
 
 import re
-from functools import partial
 
 import jax
 import jax.numpy as jnp
@@ -255,7 +254,7 @@ def test_gradient_through_twenty_steps_is_that_by_differences(road):
     numbers, form = jax.tree.flatten(law)
     assert len(numbers) == 5
 
-    @partial(jax.jit, compiler_options=COMPILER)
+    @jax.jit
     def told(numbers):
         points = history(jax.tree.unflatten(form, numbers), by, asked)
         return jnp.stack([quantity(points) for quantity in QUANTITIES.values()])
@@ -273,7 +272,7 @@ def test_gradient_along_the_path_of_a_walk():
     asked = ramp([1.0, 0, 0], [1.4, 0, 0], n=3, seconds=5.0)
     walked = lead(SOLID, by, asked, 1e-2)
 
-    @partial(jax.jit, compiler_options=COMPILER)
+    @jax.jit
     def last(law):
         points = history(law, by, walked.path)
         return points.stress[walked.rows[-1], 0, 0]

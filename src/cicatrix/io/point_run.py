@@ -10,8 +10,9 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..core.errors import ConvergenceError
+from ..core.errors import ConvergenceError, InputError
 from ..core.units import hours_from_seconds
+from ..materials.fibres import fibres_within, quadrature_error
 from ..materials.material import EnergyMaterial
 from ..mechanics.point import Control, Instant, Point, virgin
 from ..mechanics.point_walk import Mark, walk
@@ -23,6 +24,7 @@ from .progress import Progress
 from .results import Quantity, RunFolder
 
 CHECKPOINT_SECONDS = 10.0  # between two checkpoints; one more when the run is interrupted
+MOST_SHAPES = 16  # of a run, at which the quadrature of fibres is checked
 
 
 @dataclass
@@ -81,7 +83,7 @@ class PointRun:
 
     def _tell(self) -> str:
         history = self.folder.history()
-        self.folder.write_outcome(_outcome(self.case, history))
+        self.folder.write_outcome(_outcome(self.case, history) | _quadrature(law_of(self.case), history))
         grows = any(np.ptp(history[name]) > 0.0 for name in ("growth_x", "growth_y"))
         self.folder.save_figure("response", response_figure(history))
         self.folder.save_figure("histories", histories_figure(history, grows))
@@ -138,3 +140,15 @@ def _outcome(case: PointCase, history: Mapping[str, np.ndarray]) -> dict[str, Qu
         )
     told["n_substeps"] = Quantity(int(history["n_substeps"].sum()), "1", "steps in time")
     return told
+
+
+def _quadrature(law: EnergyMaterial, history: Mapping[str, np.ndarray]) -> dict[str, Quantity]:
+    """What the sums over directions and waviness of fibres leave, if there are fibres that can be resolved further."""
+    rows = np.unique(np.linspace(0, len(history["step"]) - 1, MOST_SHAPES).astype(int))
+    F = np.stack([np.diag([history[f"lambda_{axis}"][row] for axis in "xyz"]) for row in rows])
+    try:
+        errors = [quadrature_error(fibres, F) for fibres in fibres_within(law)]
+    except InputError:
+        return {}
+    note = "of the fibres' stresses without history at the stretches of the run, over the largest; see n_angles and n_waviness"
+    return {"quadrature_error": Quantity(max(errors), "1", note)} if errors else {}

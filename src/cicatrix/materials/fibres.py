@@ -50,7 +50,7 @@ class FibreViscosity(Law):
 
     beta: float | Array = param("1", "beta", low=0.0)
     relaxation: float | Array = param("s", "t_r", above=0.0)
-    n_waviness: int = count("n_w", low=1, high=256, default=6)
+    n_waviness: int = count("n_w", low=1, high=1024, default=16)
 
 
 class FibreDistribution(EnergyMaterial):
@@ -190,21 +190,27 @@ def by_moments(
 
 
 def quadrature_error(law: FibreDistribution, F: Array) -> float:
-    """Largest error of the stress that the sum over directions leaves, over the largest stress: F (..., 3, 3).
+    """Largest error of the stress that the sums over directions and waviness leave, over the largest stress: F (..., 3, 3).
 
-    Measured against four times the directions per turn.
+    Measured of tissue without history against four times the directions per turn and points of waviness.
     """
     reference, found = _virgin_stress(_finer(law, 4), F), _virgin_stress(law, F)
     return float(jnp.abs(found - reference).max() / jnp.maximum(jnp.abs(reference).max(), 1e-300))
 
 
+def fibres_within(law: Law) -> list[FibreDistribution]:
+    """All distributions of fibres that a law is made of."""
+    parts = jax.tree.leaves(law, is_leaf=lambda part: isinstance(part, FibreDistribution))
+    return [part for part in parts if isinstance(part, FibreDistribution)]
+
+
 def exact_to(law: FibreDistribution, tolerance: float, F: Array) -> FibreDistribution:
-    """The law with so many directions that :func:`quadrature_error` at F is below a tolerance.
+    """The law with so many directions and points of waviness that :func:`quadrature_error` at F is below a tolerance.
 
     Raises
     ------
     InputError
-        If the most directions that a distribution may have are too few.
+        If the most that a distribution may have are too few.
     """
     while quadrature_error(law, F) > tolerance:
         law = _finer(law, 2)
@@ -217,7 +223,8 @@ def _virgin_stress(law: FibreDistribution, F: Array) -> Array:
 
 
 def _finer(law: FibreDistribution, factor: int) -> FibreDistribution:
-    return dataclasses.replace(law, orientation=law.orientation.finer(factor))
+    viscous = law.viscous and dataclasses.replace(law.viscous, n_waviness=factor * law.viscous.n_waviness)
+    return dataclasses.replace(law, orientation=law.orientation.finer(factor), viscous=viscous)
 
 
 def _moment(values: Array, V: Array, order: int) -> Array:
