@@ -8,15 +8,24 @@ import pytest
 
 from cicatrix.core.compiler import COMPILER
 from cicatrix.core.units import acceleration_mm_s2
+from cicatrix.materials.active import ActiveFibres, Contraction
 from cicatrix.materials.compose import Sum
+from cicatrix.materials.constituent import Constituent
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
-from cicatrix.materials.growing import FibreGrowth, Growing
+from cicatrix.materials.growing import AreaGrowth, FibreGrowth, Growing, VolumeGrowth
+from cicatrix.materials.holzapfel import HolzapfelGasserOgden
+from cicatrix.materials.homogenised import Homogenised
+from cicatrix.materials.may_newman import MayNewman
+from cicatrix.materials.mixture import ConstrainedMixture
+from cicatrix.materials.mooney_rivlin import MooneyRivlin
 from cicatrix.materials.neo_hookean import NeoHookean
+from cicatrix.materials.ogden import Ogden
 from cicatrix.materials.orientation import VonMises
 from cicatrix.materials.viscoelastic import Viscoelastic
 from cicatrix.materials.waviness import Uniform
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.march import Load, march, virgin
+from cicatrix.study import laws
 from cicatrix.study.equilibrium import solid_body
 
 pytestmark = pytest.mark.xdist_group("march")  # compiled once
@@ -29,6 +38,22 @@ LAWS = {
         (GROUND, FibreDistribution(3.0, ORIENTATION, Uniform(1.0, 1.3), FibreViscosity(0.5, 2.0, 3)))
     ),
     "growing": Growing(GROUND, FibreGrowth(5.0, None, ORIENTATION)),
+}
+COLLAGEN = Constituent(HolzapfelGasserOgden(0.0, 2.0, 0.5), 0.4, lifetime=20.0, prestretch=1.05)
+ELASTIN = Constituent(NeoHookean(5.0), 0.6)
+OTHERS = {  # with those above, one of every type that a case file may name
+    "neo-hookean": GROUND,
+    "mooney-rivlin": MooneyRivlin(1.0, 0.5, 100.0),
+    "ogden": Ogden(2.0, 4.0, 100.0),
+    "holzapfel-gasser-ogden": HolzapfelGasserOgden(2.0, 1.5, 0.5, 0.1, 0.5, 100.0),
+    "may-newman": Sum((GROUND, MayNewman(0.5, 0.1, 0.2, 0.3, 0.0))),
+    "active-fibres": Sum((GROUND, ActiveFibres(0.3, ORIENTATION))),
+    "contraction": Sum((GROUND, Contraction(0.2))),
+    "area growth": Growing(GROUND, AreaGrowth(5.0)),
+    "volume growth": Growing(GROUND, VolumeGrowth(5.0)),
+    "growth by stress": Growing(GROUND, VolumeGrowth(50.0, 20.0)),
+    "mixture": ConstrainedMixture((ELASTIN, COLLAGEN), 100.0),
+    "homogenised mixture": ConstrainedMixture((ELASTIN, COLLAGEN), 100.0, Homogenised()),
 }
 GRAVITY = acceleration_mm_s2(np.array([0.0, -9.81, 0.0]))
 TIMES = (0.0, 1.0, 3.0)
@@ -73,6 +98,25 @@ def is_a_point(body, law, F_of):
 )
 def test_a_homogeneous_cube_is_a_material_point(name):
     is_a_point(cube(LAWS[name], lambda points: np.arange(len(points)) < 8), LAWS[name], path)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_cube_of_any_law_is_a_material_point(name):
+    is_a_point(cube(OTHERS[name], lambda points: np.arange(len(points)) < 8), OTHERS[name], path)
+
+
+def test_no_law_is_missing_in_bodies():
+    def within(law):
+        yield type(law)
+        for part in (
+            *getattr(law, "parts", ()),
+            *(getattr(law, name) for name in ("law", "growth") if hasattr(law, name)),
+        ):
+            yield from within(part)
+
+    tested = {kind for law in (LAWS | OTHERS).values() for kind in within(law)}
+    assert tested >= {*laws.LAWS.values(), *laws.GROWTHS.values()}
 
 
 def in_plane(k):
