@@ -38,6 +38,11 @@ class RateLaw(Protocol):
         """Whether the rate depends on time itself."""
         ...
 
+    @property
+    def differentiable(self) -> dict[str, tuple[str, ...]]:
+        """Fields that hold its parameters, one-dimensional for one network, and what each number in them belongs to."""
+        ...
+
     def rate(self, y: Array, inputs: Array | None = None, time: Array | float = 0.0) -> Array:
         """dy/dt at states (..., n_species) under inputs (..., n_inputs) -> (..., n_species) [1/s]."""
         ...
@@ -219,6 +224,12 @@ class HillNetwork(Law):
     def heeds_time(self) -> bool:
         """It does not."""
         return False
+
+    @property
+    def differentiable(self) -> dict[str, tuple[str, ...]]:
+        """Parameters by species and by reaction."""
+        species, reactions = self.wiring.species, self.wiring.reactions
+        return {"y_max": species, "tau": species, "weight": reactions, "n": reactions, "ec50": reactions}
 
     def rate(self, y: Array, inputs: Array | None = None, time: Array | float = 0.0) -> Array:
         """dy/dt at activities (..., n_species) [1] -> (..., n_species) [1/s].

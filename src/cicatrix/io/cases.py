@@ -20,20 +20,23 @@ from ..study.equilibrium_case import EquilibriumCase
 from ..study.laws import tag_of
 from ..study.limits import FAULT, OUT_OF_RANGE
 from ..study.point_case import PointCase
+from ..study.signalling_case import SignallingCase
 from .paths import input_path
 
-Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase
+Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase | SignallingCase
 KINDS: dict[str, type[Case]] = {
     "lumpectomy": LumpectomyCase,
     "automaton": AutomatonCase,
     "equilibrium": EquilibriumCase,
     "material-point": PointCase,
+    "signalling": SignallingCase,
 }
 FILES = {  # table and key of everything that names a file
     "lumpectomy": (("image", "path"), ("image", "labels")),
     "automaton": (("lattice", "fillable"), ("wound", "mask"), ("cue", "W")),
     "equilibrium": (("body", "mesh"),),
     "material-point": (),
+    "signalling": (("network", "species"), ("network", "reactions"), ("network", "sbml")),
 }
 
 TYPE_WORDS = {

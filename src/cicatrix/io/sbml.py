@@ -1,0 +1,4 @@
+"""placeholder."""
+from pathlib import Path
+def read_sbml(path: Path, unit: str):
+    raise NotImplementedError
