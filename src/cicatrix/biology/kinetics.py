@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -37,7 +38,7 @@ def _folded(pair: Callable, start: Any) -> Callable:
 
 def _chained(compare: Callable) -> Callable:
     """Comparisons of neighbours, all of which must hold."""
-    return lambda *parts: _folded(jnp.logical_and, True)(*(compare(a, b) for a, b in zip(parts, parts[1:])))
+    return lambda *parts: _folded(jnp.logical_and, True)(*(compare(a, b) for a, b in pairwise(parts)))
 
 
 FUNCTIONS: dict[str, Callable] = {

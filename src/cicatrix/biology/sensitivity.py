@@ -32,7 +32,9 @@ def of_steady_state(law: RateLaw, inputs: np.ndarray, y: np.ndarray) -> Sensitiv
     return {kind: -np.linalg.solve(J, np.asarray(columns)) for kind, columns in by.items()}
 
 
-def of_end(law: RateLaw, inputs: np.ndarray, start: np.ndarray, corners: np.ndarray, accuracy: Accuracy) -> Sensitivities:
+def of_end(
+    law: RateLaw, inputs: np.ndarray, start: np.ndarray, corners: np.ndarray, accuracy: Accuracy
+) -> Sensitivities:
     """Derivatives of the state at a course's end (as :func:`.courses.end_of`), through the solver's steps.
 
     That by an input is of the same change in all segments.

@@ -20,6 +20,7 @@ SAME = 1e-5  # of the range: nearer states are one
 NEUTRAL = 1e-7  # of the fastest rate: an eigenvalue that is 0 but for rounding
 BETWEEN = 9  # starts of Newton's method between each two stable states
 ITERATIONS = 50
+HALVES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # of a step
 N_TIMES = 102  # of every course in a run, so that all of them share one program
 
 
@@ -84,7 +85,8 @@ def steady_states(
     Notes
     -----
     A start counts for the state at its course's end: basins are those of the network's own dynamics, tau included. Newton's
-    method alone, from all starts and from between stable states, adds states that no course reached: saddles between basins.
+    method alone, from all starts and from between stable states, adds states that no course reached: saddles between basins; not
+    where something is conserved, and states are a continuum anyway.
     Stability is that of the Jacobian. What no start leads to, and Newton's method does not meet, is not found: the list is what
     was found, not a proof that there is no more.
     """
@@ -96,12 +98,12 @@ def steady_states(
         y = _settled(law, inputs, np.asarray(done.y[-1]), 0.01 * longest, scale) if done.is_done else None
         if y is not None:
             reached[number] = _number_of(y, found, scale)
-    n_reached = len(found)
-    for guess in _guesses(starts, found):
+    n_conserved = max([0, *(_eigenvalues(law, inputs, y)[1] for y in found)])
+    for guess in _guesses(np.vstack([starts, 0.5 * scale]), found) if not n_conserved else []:
         y = _newton(law, inputs, guess, scale)
         if y is not None and np.all(y > -SAME * scale) and np.all(y < (1.0 + SAME) * np.maximum(scale, starts.max(0))):
             _number_of(y, found, scale)
-    return _sorted(law, inputs, found, reached, n_reached)
+    return _sorted(law, inputs, found, reached, n_conserved)
 
 
 @eqx.filter_jit
@@ -122,15 +124,20 @@ def _settled(law: RateLaw, inputs: np.ndarray, y: np.ndarray, slowest: float, sc
 
 
 def _newton(law: RateLaw, inputs: np.ndarray, y: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
-    """Newton's method; least squares, so that what is conserved stays nearly as it was."""
+    """Newton's method, halving steps that do not slow the network; least squares, so that what is conserved nearly stays."""
+    held = jnp.asarray(inputs)
+    rate, J = (np.asarray(part) for part in rate_and_jacobian(law, held, jnp.asarray(y)))
     for _ in range(ITERATIONS):
-        rate, J = (np.asarray(part) for part in rate_and_jacobian(law, jnp.asarray(inputs), jnp.asarray(y)))
         if not (np.isfinite(rate).all() and np.isfinite(J).all()):
             return None
-        step = np.linalg.lstsq(J, -rate, rcond=1e-12)[0]
-        y = y + np.clip(step, -0.5 * scale, 0.5 * scale)
+        step = np.clip(np.linalg.lstsq(J, -rate, rcond=1e-12)[0], -0.5 * scale, 0.5 * scale)
         if np.all(np.abs(step) < 1e-11 * scale):
-            return y
+            return y + step
+        for share in HALVES:
+            new, new_J = (np.asarray(part) for part in rate_and_jacobian(law, held, jnp.asarray(y + share * step)))
+            if np.max(np.abs(new) / scale) < np.max(np.abs(rate) / scale):
+                break
+        y, rate, J = y + share * step, new, new_J
     return None
 
 
@@ -149,17 +156,20 @@ def _number_of(y: np.ndarray, found: list[np.ndarray], scale: np.ndarray) -> int
     return len(found) - 1
 
 
+def _eigenvalues(law: RateLaw, inputs: np.ndarray, y: np.ndarray) -> tuple[float, int]:
+    """Largest real part of an eigenvalue [1/s], and how many are 0: these count what is conserved, and are left out of it."""
+    values = np.linalg.eigvals(np.asarray(rate_and_jacobian(law, jnp.asarray(inputs), jnp.asarray(y))[1]))
+    is_neutral = np.abs(values) < NEUTRAL * np.max(np.abs(values), initial=1e-300)
+    return float(np.max(values.real[~is_neutral], initial=-np.inf)), int(is_neutral.sum())
+
+
 def _sorted(
-    law: RateLaw, inputs: np.ndarray, found: list[np.ndarray], reached: np.ndarray, n_reached: int
+    law: RateLaw, inputs: np.ndarray, found: list[np.ndarray], reached: np.ndarray, n_conserved: int
 ) -> SteadyStates:
-    states, n_conserved = [], 0
-    for number, y in enumerate(found):
-        values = np.linalg.eigvals(np.asarray(rate_and_jacobian(law, jnp.asarray(inputs), jnp.asarray(y))[1]))
-        is_neutral = np.abs(values) < NEUTRAL * np.max(np.abs(values), initial=1e-300)
-        growth = float(np.max(values.real[~is_neutral], initial=-np.inf))
-        if number < n_reached:
-            n_conserved = max(n_conserved, int(is_neutral.sum()))
-        states.append(SteadyState(y, growth, int(np.sum(reached == number))))
+    states = [
+        SteadyState(y, _eigenvalues(law, inputs, y)[0], int(np.sum(reached == number)))
+        for number, y in enumerate(found)
+    ]
     order = sorted(range(len(states)), key=lambda i: (not states[i].is_stable, -states[i].n_starts, tuple(states[i].y)))
     rank = {old: new for new, old in enumerate(order)} | {-1: -1}
     return SteadyStates([states[i] for i in order], np.array([rank[number] for number in reached]), n_conserved)

@@ -70,10 +70,16 @@ def laws() -> list[Measurement]:
     return import_module(".bench_laws", __package__).laws()
 
 
+def cells() -> list[Measurement]:
+    """Signalling: 10^4 parameter sets of a network of 100 species in one call, next to SciPy and libroadrunner."""
+    return import_module(".bench_networks", __package__).networks()
+
+
 BENCHMARKS: dict[str, Callable[[], list[Measurement]]] = {
     "checkpoint": checkpoint,
     "road2d": road2d,
     "automaton": automaton,
     "mechanics": mechanics,
     "laws": laws,
+    "cells": cells,
 }

@@ -22,8 +22,8 @@ def courses_figure(history: Mapping[str, np.ndarray], names: Sequence[str], inpu
     """Every species over time, lines or a map of many; above them the inputs that the case sets."""
     tall = 0.26 * len(names) + 1.5 if len(names) > MOST_LINES else 5.0
     figure = Figure(figsize=(10, tall + (1.6 if inputs else 0.0)), layout="constrained")
-    heights = {"height_ratios": [1.2, tall]} if inputs else {}
-    axes = np.atleast_1d(figure.subplots(2 if inputs else 1, 1, sharex=True, **heights))
+    heights = [1.2, tall] if inputs else None
+    axes = np.atleast_1d(figure.subplots(2 if inputs else 1, 1, sharex=True, height_ratios=heights))
     time = history["time_h"]
     for name, colour in zip(inputs, _colours(len(inputs))):
         axes[0].step(time, history[f"input_{name}"], where="post", color=colour, label=name)
@@ -127,7 +127,9 @@ def _map_over_time(ax: Axes, time: np.ndarray, states: np.ndarray, names: Sequen
 def _write_values(ax: Axes, values: np.ndarray) -> None:
     middle = 0.5 * values.max()
     for (i, k), value in np.ndenumerate(values):
-        ax.text(k, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if value < middle else "black")
+        ax.text(
+            k, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if value < middle else "black"
+        )
 
 
 def _colours(n: int) -> list[Any]:

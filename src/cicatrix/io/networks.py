@@ -33,7 +33,8 @@ def read_model(table: NetworkTable) -> Model:
     """
     if table.sbml is not None:
         return read_sbml(table.sbml, table.time_unit)
-    assert table.species is not None and table.reactions is not None
+    assert table.species is not None
+    assert table.reactions is not None
     return read_network(table.species, table.reactions, table.inhibition)
 
 
@@ -77,7 +78,9 @@ def _table(path: Path, columns: Sequence[str]) -> list[Row]:
     rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text))]
     lines = [(number, row) for number, row in enumerate(rows, 1) if any(row)]
     if len(lines) < 2:
-        raise InputError(f"{path}: must have a row of column names, {', '.join(columns)}, and a row for each thing named")
+        raise InputError(
+            f"{path}: must have a row of column names, {', '.join(columns)}, and a row for each thing named"
+        )
     head = lines[0][1]
     missing = [name for name in columns if name not in head]
     if missing:

@@ -146,7 +146,11 @@ class _Reader:
         rates = self._reactions() | self.rate_rules
         if not rates:
             raise InputError(f"{self.path}: nothing changes in this model: it has no reaction and no rate rule")
-        everything = [*self.source.getListOfCompartments(), *self.source.getListOfSpecies(), *self.source.getListOfParameters()]
+        everything = [
+            *self.source.getListOfCompartments(),
+            *self.source.getListOfSpecies(),
+            *self.source.getListOfParameters(),
+        ]
         constants = [one.getId() for one in everything if one.getId() not in rates and one.getId() not in self.assigned]
         order = self._ordered({**self.assigned}, {*constants, *rates, TIME})
         given = self._start({one.getId(): self._given(one) for one in everything}, [*constants, *rates])
@@ -162,7 +166,9 @@ class _Reader:
         """Rate of every species that reactions change."""
         parts: dict[str, list[Expression]] = {}
         changing = {
-            one.getId() for one in self.source.getListOfSpecies() if not (one.getBoundaryCondition() or one.getConstant())
+            one.getId()
+            for one in self.source.getListOfSpecies()
+            if not (one.getBoundaryCondition() or one.getConstant())
         }
         for reaction in self.source.getListOfReactions():
             for sign, side in ((-1.0, reaction.getListOfReactants()), (1.0, reaction.getListOfProducts())):
@@ -248,5 +254,6 @@ class _Reader:
         if word == "NAME":
             return ("name", node.getName())
         if word not in WORDS:
-            raise InputError(f'{self.path}: uses the function "{node.getName() or word.lower()}", which cicatrix does not support')
+            name = node.getName() or word.lower()
+            raise InputError(f'{self.path}: uses the function "{name}", which cicatrix does not support')
         return (WORDS[word], *(self._expression(node.getChild(k)) for k in range(node.getNumChildren())))

@@ -105,13 +105,14 @@ class SignallingRun:
         done = follow(
             self.model.law, jnp.asarray(chunk.inputs), jnp.asarray(mark.y), jnp.asarray(times), accuracy_of(self.case)
         )
-        states, is_done = np.asarray(done.y), bool(done.is_done)
-        if not is_done:
-            raise self._failure(chunk, states, int(done.n_steps))
+        states, n_steps = np.asarray(done.y), mark.n_steps + int(done.n_steps)
         rows = zip(chunk.times_h[1 : chunk.n_rows + 1], states[1:])
         for number, (time_h, y) in enumerate(rows, mark.row + 1):
-            self.folder.record(self._row(number, float(time_h), y))
-        return Mark(mark.chunk + 1, mark.row + chunk.n_rows, states[-1], mark.n_steps + int(done.n_steps))
+            if np.isfinite(y).all():
+                self.folder.record(self._row(number, float(time_h), y))
+        if not done.is_done:
+            raise self._failure(chunk, states, int(done.n_steps))
+        return Mark(mark.chunk + 1, mark.row + chunk.n_rows, states[-1], n_steps)
 
     def _failure(self, chunk: Chunk, states: np.ndarray, n_steps: int) -> ConvergenceError:
         good = np.isfinite(states).all(axis=1)
@@ -170,7 +171,9 @@ class SignallingRun:
             for number, state in enumerate(found[None].stable, 1):
                 by = of_steady_state(self.model.law, self.last_inputs, state.y)
                 if by is None:
-                    self.folder.note(f"Steady state {number} has no derivatives: what is conserved decides where it is.")
+                    self.folder.note(
+                        f"Steady state {number} has no derivatives: what is conserved decides where it is."
+                    )
                 else:
                     derivatives[f"state {number}"] = by
         if asked in ("end", "both"):
@@ -234,7 +237,9 @@ def _of_states(
         "n_stable_states": Quantity(len(here.stable), "1", f"from {len(here.reached)} starts under {under}"),
         "is_bistable": Quantity("yes" if len(here.stable) > 1 else "no", "", "whether the start decides"),
         "state_from_own_start": Quantity(_number(here.reached[0]), "1", "number of the state, from 1"),
-        "state_from_end": Quantity(_number(here.reached[-1]), "1", "number of the state that the course leads to, from 1"),
+        "state_from_end": Quantity(
+            _number(here.reached[-1]), "1", "number of the state that the course leads to, from 1"
+        ),
         "n_unsettled_starts": Quantity(int(np.sum(here.reached < 0)), "1", "which did not come to rest"),
         "n_conserved": Quantity(here.n_conserved, "1", "quantities that the network keeps: zero eigenvalues"),
         "steady_states": Quantity(listed, "1", "stable ones first; growth: largest real part of an eigenvalue"),

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, BeforeValidator, model_validator
+from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
 from .case import Table
@@ -15,7 +16,7 @@ MOST_ROWS = 1_000_000
 
 
 def _rising(times: tuple[float, ...]) -> tuple[float, ...]:
-    if not times or any(later <= earlier for earlier, later in zip(times, times[1:])):
+    if not times or any(later <= earlier for earlier, later in pairwise(times)):
         raise PydanticCustomError(OUT_OF_RANGE, "{words}", {"words": "must be one time at least, and ascend"})
     return times
 
@@ -119,7 +120,7 @@ class SignallingCase(Table):
 
     kind: Literal["signalling"] = "signalling"
     network: NetworkTable
-    set: dict[str, Annotated[Schedule, BeforeValidator(_held)]] = {}
+    set: dict[str, Annotated[Schedule, BeforeValidator(_held)]] = Field(default_factory=dict)
     time: TimeTable = TimeTable()
     steady: SteadyTable = SteadyTable()
     sensitivity: SensitivityTable = SensitivityTable()
