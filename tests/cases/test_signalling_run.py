@@ -191,6 +191,7 @@ REFUSED = {
         "row 3 must have 4 columns as the first one has; got 3",
     ),
     "twice": ({"species": SPECIES + "A,0,1,1\n"}, [], 'species "A" stands twice'),
+    "column of the history": ({"species": SPECIES + "step,0,1,1\n"}, [], 'species "step" must have another name'),
     "empty": ({"species": "id\n"}, [], "must have a row of column names, id, y_init, y_max, tau_h"),
     "no input": ({}, ["set.B=1"], 'set names "B", which is no input of the network; known: A'),
     "no output": (
@@ -208,6 +209,8 @@ def test_a_faulty_network_is_a_sentence_and_leaves_nothing(name, case_file, tmp_
     files, settings, sentence = REFUSED[name]
     path = case_file(**files)
     arguments = [part for setting in settings for part in ("--set", setting)]
+    (fault,) = check_case(path, settings)
+    assert sentence in fault
     assert main(["run", str(path), *arguments, "--out", str(tmp_path / "run")]) == 2
     told = [line for line in capsys.readouterr().err.splitlines() if line.startswith("cicatrix: ")]
     assert len(told) == 1

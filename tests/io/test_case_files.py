@@ -197,13 +197,13 @@ def test_every_fault_is_reported(write):
         ("kind = = 1\nx = 1", "is not valid TOML: .*line 1, column 8"),
         (
             "",
-            'kind is missing; a case file starts with kind = "lumpectomy", "automaton", "equilibrium" or "material-point"',
+            'kind is missing; a case file starts with kind = "lumpectomy", "automaton", "equilibrium", "material-point" or "signalling"',
         ),
         (
             'kind = "mastectomy"',
-            'kind must be "lumpectomy", "automaton", "equilibrium" or "material-point"; got "mastectomy"',
+            'kind must be "lumpectomy", "automaton", "equilibrium", "material-point" or "signalling"; got "mastectomy"',
         ),
-        ("kind = 3", 'kind must be "lumpectomy", "automaton", "equilibrium" or "material-point"; got 3'),
+        ("kind = 3", 'kind must be "lumpectomy", "automaton", "equilibrium", "material-point" or "signalling"; got 3'),
     ],
 )
 def test_no_case_at_all(text, words, write):

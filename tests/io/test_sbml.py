@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from cicatrix.cli.bench_networks import HOUR, Sets, network, numpy_rate, sbml_text
 from cicatrix.core.errors import InputError
 from cicatrix.io.sbml import MISSING, read_sbml
 
 HERE = Path(__file__).parent / "sbml"
 try:
-    import libsbml  # noqa: F401
+    import libsbml
 except ImportError:
     pytestmark = pytest.mark.skip(reason=MISSING)
 
@@ -101,6 +102,21 @@ def test_semantic_case_8(tmp_path):
     t, y = course(model, 10.0)
     np.testing.assert_allclose(y[:, 0], 0.075 * (1.0 + np.exp(-0.5 * t)), rtol=1e-6)
     assert y[-1, 0] / 0.15 == pytest.approx(7.55053e-16 / 1.5e-15, rel=1e-3)  # their last row, scaled by its start
+
+
+def test_a_network_of_hill_functions_written_as_sbml_is_itself(tmp_path):
+    """The benchmark's network as a peer gets it, in printed formulas, and as SciPy does: three ways to one rate."""
+    law = network()
+    path = tmp_path / "network.xml"
+    path.write_text(sbml_text(law, libsbml))
+    model, y = read_sbml(path), np.random.default_rng(1).random(len(law.species))
+    ours = np.asarray(law.rate(y)) * HOUR
+    theirs = dict(
+        zip(model.law.species, np.asarray(model.law.rate(y[[law.species.index(s) for s in model.law.species]])))
+    )
+    np.testing.assert_allclose([theirs[name] * HOUR for name in law.species], ours, atol=1e-9)
+    rate = numpy_rate(law, Sets(law.tau, law.weight, law.ec50))
+    np.testing.assert_allclose(rate(0.0, y) * HOUR, ours, atol=1e-9)
 
 
 RULE = (

@@ -31,6 +31,7 @@ POINTS = 1_000_000
 DURATION = 24.0 * 3600.0  # s
 ACCURACY = Accuracy(1e-5, 1e-8, "explicit")
 HOUR = 3600.0
+START = 0.1  # of every species
 
 
 class Sets(NamedTuple):
@@ -99,7 +100,7 @@ def _ours(law: HillNetwork, sets: Sets, n_edges: int) -> tuple[np.ndarray, Measu
     times = jnp.array([0.0, DURATION])
 
     def some(part: Sets) -> tuple[Array, Array]:
-        start = jnp.zeros((TOGETHER, N_SPECIES))
+        start = jnp.full((TOGETHER, N_SPECIES), START)
         done = course(lambda bound, y, t: bound.rate(y), _with(law, part).under(), start, times, ACCURACY)
         return done.y[-1], done.n_steps
 
@@ -142,7 +143,7 @@ def _scipy(law: HillNetwork, sets: Sets, ours: np.ndarray) -> Measurement:
     for k in range(SCIPY_SETS):
         rate = numpy_rate(law, Sets(*(one[k] for one in sets)))
         y = solve_ivp(
-            rate, (0.0, DURATION), np.zeros(N_SPECIES), "LSODA", rtol=ACCURACY.relative, atol=ACCURACY.absolute
+            rate, (0.0, DURATION), np.full(N_SPECIES, START), "LSODA", rtol=ACCURACY.relative, atol=ACCURACY.absolute
         )
         worst = max(worst, float(np.abs(y.y[:, -1] - ours[k]).max()))
     seconds = (time.process_time() - begin) * N_SETS / SCIPY_SETS
@@ -201,7 +202,7 @@ def sbml_text(law: HillNetwork, libsbml) -> str:
     """The network as SBML: a rate rule for each species, a parameter for each tau, weight and EC50."""
     document = libsbml.SBMLDocument(3, 1)
     model = document.createModel()
-    values = {f"tau_{i}": v for i, v in enumerate(law.tau)} | dict.fromkeys(law.species, 0.0)
+    values = {f"tau_{i}": v for i, v in enumerate(law.tau)} | dict.fromkeys(law.species, START)
     values |= {f"w_{i}": v for i, v in enumerate(law.weight)} | {f"E_{i}": v for i, v in enumerate(law.ec50)}
     for name, value in values.items():
         one = model.createParameter()

@@ -7,7 +7,7 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from typing import Any, get_args
 
@@ -38,6 +38,7 @@ FILES = {  # table and key of everything that names a file
     "material-point": (),
     "signalling": (("network", "species"), ("network", "reactions"), ("network", "sbml")),
 }
+CHECKS = {"signalling": (".networks", "faults_of")}  # of what a case's files hold, as far as that is soon done
 
 TYPE_WORDS = {
     "float_type": "must be a number",
@@ -86,7 +87,11 @@ def demo_case() -> LumpectomyCase:
 
 def check_case(path: str | Path, overrides: Sequence[str] = ()) -> list[str]:
     """Return every fault of a case file, one sentence each; an empty list means that it is sound."""
-    return _examine(Path(path), overrides)[1]
+    case, faults = _examine(Path(path), overrides)
+    if case is not None and case.kind in CHECKS:
+        module, name = CHECKS[case.kind]
+        return getattr(import_module(module, __package__), name)(case)
+    return faults
 
 
 def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:

@@ -14,12 +14,13 @@ from ..biology.network import HillNetwork, Inhibition, Wiring
 from ..biology.rules import parse_rule
 from ..core.errors import InputError
 from ..core.units import hours_from_seconds, seconds_from_hours
-from ..study.signalling import Model
-from ..study.signalling_case import NetworkTable
+from ..study.signalling import Model, refuse_unknown
+from ..study.signalling_case import NetworkTable, SignallingCase
 from .sbml import read_sbml
 
 SPECIES = ("id", "y_init", "y_max", "tau_h")
 REACTIONS = ("id", "rule", "weight", "n", "ec50")
+COLUMNS = ("step", "time_h")  # of history.csv, beside the species
 Row = dict[str, str]
 
 
@@ -32,10 +33,24 @@ def read_model(table: NetworkTable) -> Model:
         With the file, the row and what is wrong there.
     """
     if table.sbml is not None:
-        return read_sbml(table.sbml, table.time_unit)
-    assert table.species is not None
-    assert table.reactions is not None
-    return read_network(table.species, table.reactions, table.inhibition)
+        path, model = table.sbml, read_sbml(table.sbml, table.time_unit)
+    else:
+        assert table.species is not None
+        assert table.reactions is not None
+        path, model = table.species, read_network(table.species, table.reactions, table.inhibition)
+    for name in model.law.species:
+        if name in COLUMNS or name.startswith("input_"):
+            raise InputError(f'{path}: species "{name}" must have another name: history.csv has a column of that one')
+    return model
+
+
+def faults_of(case: SignallingCase) -> list[str]:
+    """What of a sound case does not fit its network, or of the network itself: one sentence, or none."""
+    try:
+        refuse_unknown(case, read_model(case.network))
+    except InputError as error:
+        return [str(error)]
+    return []
 
 
 def read_network(species: Path, reactions: Path, inhibition: Inhibition = "complement") -> Model:
