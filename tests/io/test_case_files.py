@@ -197,7 +197,8 @@ def test_every_fault_is_reported(write):
         ("kind = = 1\nx = 1", "is not valid TOML: .*line 1, column 8"),
         (
             "",
-            'kind is missing; a case file starts with kind = "lumpectomy", "automaton", "equilibrium", "material-point" or "signalling"',
+            'kind is missing; a case file starts with kind = "lumpectomy", "automaton", "equilibrium", "material-point" '
+            'or "signalling"',
         ),
         (
             'kind = "mastectomy"',

@@ -57,6 +57,7 @@ def test_course_is_that_of_scipy(method):
     np.testing.assert_allclose(done.y[: len(times)], theirs.y.T, atol=3e-8)
 
 
+@pytest.mark.slow
 def test_an_input_alone_is_an_exponential():
     times = np.array([0.0, 100.0, 360.0, 2000.0])
     law = network(["=> A"], 1.4, 0.5, [360.0])
@@ -64,6 +65,7 @@ def test_an_input_alone_is_an_exponential():
     np.testing.assert_allclose(y, 0.7 + (0.2 - 0.7) * np.exp(-times / 360.0), atol=1e-9)
 
 
+@pytest.mark.slow
 def test_several_states_share_their_steps():
     starts = np.random.default_rng(1).random((4, 3))
     times = padded(np.array([0.0, 3000.0]))

@@ -179,23 +179,24 @@ def _runner(law: HillNetwork, sets: Sets, ours: np.ndarray) -> Measurement:
         return Measurement(name, float("nan"), "s", "not installed: pip install libroadrunner python-libsbml")
     runner = roadrunner.RoadRunner(sbml_text(law, libsbml))
     runner.integrator.relative_tolerance = ACCURACY.relative
-    runner.integrator.absolute_tolerance = ACCURACY.absolute
-    ids = list(runner.model.getGlobalParameterIds())
-    worst, begin = 0.0, time.process_time()
+    # as a vector: a single number is scaled by the state, down to nothing (sys-bio/roadrunner issues 1300 and 1349)
+    runner.integrator.setValue("absolute_tolerance", [ACCURACY.absolute] * len(law.species))
+    worst, spent = 0.0, []
     for k in range(RUNNER_SETS):
         runner.reset()
-        values = {f"tau_{i}": v for i, v in enumerate(sets.tau[k])}
-        values |= {f"w_{i}": v for i, v in enumerate(sets.weight[k])} | {
-            f"E_{i}": v for i, v in enumerate(sets.ec50[k])
-        }
-        chosen = [i for i, one in enumerate(ids) if one in values]
-        runner.model.setGlobalParameterValues(chosen, [values[ids[i]] for i in chosen])
-        runner.simulate(0.0, DURATION, 2)
-        y = np.array([runner[one] for one in law.species])
-        worst = max(worst, float(np.abs(y - ours[k]).max()))
-    seconds = (time.process_time() - begin) * N_SETS / RUNNER_SETS
-    note = f"peer: CVODE in a loop, extrapolated from {RUNNER_SETS} sets; ends differ by {worst:.1e}"
-    return Measurement(name, seconds, "s", note)
+        for word, values in zip(("tau", "w", "E"), sets):
+            for i, value in enumerate(values[k]):
+                runner.setValue(f"{word}_{i}", float(value))
+        begin = time.process_time()
+        try:
+            runner.simulate(0.0, DURATION, 2)
+        except RuntimeError:
+            continue  # CVODE gives up on some sets; said in the note
+        spent.append(time.process_time() - begin)
+        worst = max(worst, float(np.abs(np.array([runner[one] for one in law.species]) - ours[k]).max()))
+    note = f"peer: CVODE in a loop, extrapolated from {len(spent)} of {RUNNER_SETS} sets, which it finished"
+    seconds = float(np.mean(spent)) * N_SETS if spent else float("nan")
+    return Measurement(name, seconds, "s", f"{note}; setting them not counted; ends differ by {worst:.1e}")
 
 
 def sbml_text(law: HillNetwork, libsbml) -> str:
