@@ -42,7 +42,7 @@ def test_spring(energy, share):
 
 
 def test_a_step_has_the_odes_fixed_point_as_it_shrinks():
-    """P_on / (P_on + P_off) is off by k_on k_off (k_on - k_off) / 2 (k_on + k_off)^2 dt: phi (1 - phi) times the difference / 2."""
+    """P_on / (P_on + P_off) is off by phi (1 - phi) (k_off - k_on) dt / 2, by hand."""
     law = on_spring(2e4)
     at = law.anchored(1.0)
     for dt in (1e-1, 1e-3):

@@ -5,8 +5,9 @@ from __future__ import annotations
 from typing import Literal, NamedTuple
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
-from jax import Array
+from jax import Array, lax
 
 from ..core.errors import InputError
 from ..core.law import Law, param
@@ -89,6 +90,36 @@ class Adhesion(Law):
     def chances(self, dt: float, k_off: Array) -> tuple[Array, Array]:
         """P_on and P_off of a bond in a step dt [s], Eqs (20) and (21): rate of opening (...) [1/s] -> (...), (...) [1]."""
         return -jnp.expm1(-dt * self.bond.k_on) + jnp.zeros_like(k_off), -jnp.expm1(-dt * k_off)
+
+
+    def most_k_off(self, stretch: Array, start: float, end: float) -> Array:
+        """Bound from above of the rate of opening on a substrate that yields, between two times [s]: stretch (...) -> (...) [1/s].
+
+        Force falls, displacement rises, what is stored is half of their product at most; a catch bond's rate is convex in force.
+        """
+        first, last = (self.substrate.pulled(self.contraction, stretch, t) for t in (start, end))
+        energy = first.force * last.displacement * (1.0 if self.energy == "work" else 0.5)
+        return jnp.maximum(self.bond.k_off(first.force, energy), self.bond.k_off(last.force, energy))
+
+
+@jax.jit
+def anchored(law: Adhesion, stretch: Array, time: Array | float = 0.0) -> Anchorage:
+    """:meth:`Adhesion.anchored`, compiled once for every kind of adhesion and shape of its points."""
+    return law.anchored(stretch, time)
+
+
+@jax.jit
+def carried(law: Adhesion, bound: Array, stretch: Array, start: float, end: float, n_steps: int) -> Array:
+    """Bound fraction (...) [1] led from a time to another [s] on a substrate that changes, in steps of second order.
+
+    Every step is the solution for the rates at its middle, so none is too long to be stable. Derivatives are forward ones.
+    """
+    dt = (end - start) / n_steps
+
+    def onward(i: Array, bound: Array) -> Array:
+        return after(bound, law.bond.k_on, law.anchored(stretch, start + (i + 0.5) * dt).k_off, dt)
+
+    return lax.fori_loop(0, n_steps, onward, bound)
 
 
 def after(bound: Array, k_on: Array | float, k_off: Array, dt: Array | float) -> Array:

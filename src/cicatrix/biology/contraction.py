@@ -55,7 +55,7 @@ class ConstantForce(Law):
         return self.f + jnp.zeros_like(stiffness)
 
     def pulling(self) -> Pulling:
-        """f = f."""
+        """The line of a constant force."""
         return Pulling(self.f, 1.0, 0.0)
 
     def check(self, stiffness: np.ndarray) -> None:

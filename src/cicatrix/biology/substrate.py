@@ -1,4 +1,4 @@
-"""What a bond pulls at: a spring, or a column of a material with a stress of its own; how far it gives way, and the energy of that."""
+"""What a bond pulls at, a spring or a column of a material: how far it gives way, and the energy of that."""
 
 from __future__ import annotations
 

@@ -45,7 +45,8 @@ class StandardLinearSolid(Law):
         per_second = self.K_added / self.viscosity / whole
         u_v = per_second * drive * _yielded(per_second * (share * self.K_long + give), time)
         u = (drive + share * self.K_added * u_v) / whole
-        f = self.K_long * u + self.K_added * (u - u_v)
+        pulling = jnp.where(jnp.equal(share, 0.0), 1.0, share)
+        f = jnp.where(jnp.equal(share, 0.0), self.K_long * u + self.K_added * (u - u_v), (drive - give * u) / pulling)
         u, f = (jnp.where(whole > 0.0, value, jnp.nan) for value in (u, f))
         stored = 0.5 * (self.K_long * u**2 + self.K_added * (u - u_v) ** 2)
         return Pull(f, f / u, u, f * u, stored)

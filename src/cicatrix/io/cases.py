@@ -14,6 +14,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from ..core.errors import InputError
+from ..study.adhesion_case import AdhesionCase
 from ..study.automaton_case import AutomatonCase
 from ..study.case import LumpectomyCase, Table
 from ..study.equilibrium_case import EquilibriumCase
@@ -22,18 +23,20 @@ from ..study.limits import FAULT, OUT_OF_RANGE
 from ..study.point_case import PointCase
 from .paths import input_path
 
-Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase
+Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase | AdhesionCase
 KINDS: dict[str, type[Case]] = {
     "lumpectomy": LumpectomyCase,
     "automaton": AutomatonCase,
     "equilibrium": EquilibriumCase,
     "material-point": PointCase,
+    "adhesion": AdhesionCase,
 }
 FILES = {  # table and key of everything that names a file
     "lumpectomy": (("image", "path"), ("image", "labels")),
     "automaton": (("lattice", "fillable"), ("wound", "mask"), ("cue", "W")),
     "equilibrium": (("body", "mesh"),),
     "material-point": (),
+    "adhesion": (),
 }
 
 TYPE_WORDS = {

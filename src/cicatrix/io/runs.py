@@ -20,6 +20,7 @@ RUNS = {
     "automaton": (".automaton_run", "AutomatonRun"),
     "equilibrium": (".equilibrium_run", "EquilibriumRun"),
     "material-point": (".point_run", "PointRun"),
+    "adhesion": (".adhesion_run", "AdhesionRun"),
 }
 FOLLOWERS = {  # what the other ranks of several do
     "automaton": (".automaton_run", "follow"),
@@ -34,7 +35,7 @@ def simulate(
 
     Parameters
     ----------
-    case : LumpectomyCase, AutomatonCase, EquilibriumCase or PointCase
+    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase or AdhesionCase
         What to run.
     out : str or Path, optional
         The run's folder; without it nothing is kept on disk.
