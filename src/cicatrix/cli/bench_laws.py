@@ -71,7 +71,7 @@ NOTES = {
 
 def laws() -> list[Measurement]:
     """Nanoseconds per point for P and its tangent of every law, in a process of its own that has one core."""
-    with _one_core():
+    with one_core():
         done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True)
     if done.returncode:
         raise CicatrixError(f"the benchmark of laws ended with {done.stderr.strip().splitlines()[-1:]}")
@@ -169,7 +169,7 @@ def _jaxmat(F: np.ndarray) -> Measurement:
 
 
 @contextmanager
-def _one_core() -> Iterator[None]:
+def one_core() -> Iterator[None]:
     """Hold this thread, and the processes that it starts, on one core where the system can."""
     if not hasattr(os, "sched_setaffinity"):
         yield

@@ -70,10 +70,16 @@ def laws() -> list[Measurement]:
     return import_module(".bench_laws", __package__).laws()
 
 
+def cells() -> list[Measurement]:
+    """Adhesion at 10^6 substrates and bonds at random, on one core, next to SciPy."""
+    return import_module(".bench_cells", __package__).cells()
+
+
 BENCHMARKS: dict[str, Callable[[], list[Measurement]]] = {
     "checkpoint": checkpoint,
     "road2d": road2d,
     "automaton": automaton,
     "mechanics": mechanics,
     "laws": laws,
+    "cells": cells,
 }
