@@ -166,5 +166,19 @@ def _jaxmat(F: np.ndarray) -> Measurement:
     )
 
 
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Hold this thread, and the processes that it starts, on one core where the system can."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)
+
+
 if __name__ == "__main__":
     print(json.dumps(list(measured())))

@@ -14,6 +14,7 @@ from typing import Any, get_args
 from pydantic import ValidationError
 
 from ..core.errors import InputError
+from ..study.adhesion_case import AdhesionCase
 from ..study.automaton_case import AutomatonCase
 from ..study.case import LumpectomyCase, Table
 from ..study.equilibrium_case import EquilibriumCase
@@ -23,12 +24,13 @@ from ..study.point_case import PointCase
 from ..study.signalling_case import SignallingCase
 from .paths import input_path
 
-Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase | SignallingCase
+Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase | AdhesionCase | SignallingCase
 KINDS: dict[str, type[Case]] = {
     "lumpectomy": LumpectomyCase,
     "automaton": AutomatonCase,
     "equilibrium": EquilibriumCase,
     "material-point": PointCase,
+    "adhesion": AdhesionCase,
     "signalling": SignallingCase,
 }
 FILES = {  # table and key of everything that names a file
@@ -36,6 +38,7 @@ FILES = {  # table and key of everything that names a file
     "automaton": (("lattice", "fillable"), ("wound", "mask"), ("cue", "W")),
     "equilibrium": (("body", "mesh"),),
     "material-point": (),
+    "adhesion": (),
     "signalling": (("network", "species"), ("network", "reactions"), ("network", "sbml")),
 }
 CHECKS = {"signalling": (".networks", "faults_of")}  # of what a case's files hold, as far as that is soon done

@@ -20,6 +20,7 @@ RUNS = {
     "automaton": (".automaton_run", "AutomatonRun"),
     "equilibrium": (".equilibrium_run", "EquilibriumRun"),
     "material-point": (".point_run", "PointRun"),
+    "adhesion": (".adhesion_run", "AdhesionRun"),
     "signalling": (".signalling_run", "SignallingRun"),
 }
 FOLLOWERS = {  # what the other ranks of several do
@@ -35,7 +36,7 @@ def simulate(
 
     Parameters
     ----------
-    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase or SignallingCase
+    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase, AdhesionCase or SignallingCase
         What to run.
     out : str or Path, optional
         The run's folder; without it nothing is kept on disk.
