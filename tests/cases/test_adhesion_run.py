@@ -17,7 +17,7 @@ from cicatrix.study.adhesion import adhesion_of
 from cicatrix.study.uniaxial import Tension
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "adhesion"
-COLUMNS = "step time_s stretch bound_fraction bound_fraction_sd force_pN traction_kPa".split()
+COLUMNS = ["step", "time_s", "stretch", "bound_fraction", "bound_fraction_sd", "force_pN", "traction_kPa"]
 KT = 4.28317e-3
 CASE = """
 kind = "adhesion"
@@ -155,7 +155,9 @@ def test_tissue_as_substrate(case_file):
     way = np.asarray(at.energy) / 7.0 / 0.1
     to = np.array([1.0, 1.3]) + way
     np.testing.assert_allclose(to - to**-2.0, [7.0 / 0.017 / mu, 1.3 - 1.3**-2 + 7.0 / 0.017 / mu], rtol=1e-7)
-    same = load_case(case_file, ["substrate={type='law', area_um2=0.017, length_um=0.1, stretch=[1.0, 1.3]}", *two(5.0)])
+    same = load_case(
+        case_file, ["substrate={type='law', area_um2=0.017, length_um=0.1, stretch=[1.0, 1.3]}", *two(5.0)]
+    )
     np.testing.assert_allclose(adhesion_of(same)[0].anchored(np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
 
 
@@ -218,7 +220,10 @@ FAULTS = {
         ["method.type=ssa", "method.n_integrins=100000000"],
         "method.n_integrins times n_cells times stretches must be at most 1e+09 bonds; got 3.2e+09",
     ),
-    "a law for nothing": (two(1.0), 'law must be at least one table [[law]] for substrate.type = "law", and none otherwise'),
+    "a law for nothing": (
+        two(1.0),
+        'law must be at least one table [[law]] for substrate.type = "law", and none otherwise',
+    ),
     "law at fault": (
         ["substrate={type='neo-hookean', mu_kPa=-1.0, area_um2=1.0, length_um=1.0}"],
         "substrate.mu_kPa must be at least 0; got -1.0",
@@ -242,9 +247,15 @@ def test_unknown_substrate_lists_the_known_ones(case_file):
 
 FIBRE = "substrate={type='exponential-fibre', k1_MPa=0.07, k2=20.8, area_um2=0.017, length_um=0.1, stretch=[1.0, 0.7]}"
 UNSOUND = {
-    "feedback": ([FEEDBACK], "feedback does not hold: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got -0.5 at"),
+    "feedback": (
+        [FEEDBACK],
+        "feedback does not hold: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got -0.5 at",
+    ),
     "slack": ([FIBRE], "substrate.stretch 0.7: the tangent stiffness there must be positive; got -"),
-    "too strong": (["cell.force_pN=1e9"], "the adhesion has no finite k_off at a stretch of 1: a force of 1e+09 pN is too much"),
+    "too strong": (
+        ["cell.force_pN=1e9"],
+        "the adhesion has no finite k_off at a stretch of 1: a force of 1e+09 pN is too much",
+    ),
 }
 
 

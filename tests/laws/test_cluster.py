@@ -10,7 +10,9 @@ from cicatrix.biology.cluster import ForceSharing, mean_lifetime, sample_lifetim
 @pytest.mark.parametrize("size", [1, 2, 10, 100])
 def test_no_force_no_rebinding(size):
     """They open one by one: the harmonic number."""
-    assert float(ForceSharing(0.0).lifetime(size, 0.0)) == pytest.approx(sum(1 / i for i in range(1, size + 1)), rel=1e-13)
+    assert float(ForceSharing(0.0).lifetime(size, 0.0)) == pytest.approx(
+        sum(1 / i for i in range(1, size + 1)), rel=1e-13
+    )
 
 
 def test_force_without_rebinding():

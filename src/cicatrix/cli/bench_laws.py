@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from jax import Array
 
+from ..core.compiler import COMPILER
 from ..core.errors import CicatrixError
 from ..materials.active import ActiveFibres, Contraction
 from ..materials.chunked import chunked
@@ -31,7 +32,6 @@ from ..materials.ogden import Ogden
 from ..materials.orientation import VonMises
 from ..materials.viscoelastic import Viscoelastic
 from ..materials.waviness import Uniform
-from ..mechanics.body import COMPILER
 from .measurement import Measurement, best_of, one_core
 
 MANY, FEW = 1_000_000, 100_000  # points of a cheap law and of a costly one
@@ -164,20 +164,6 @@ def _jaxmat(F: np.ndarray) -> Measurement:
     return Measurement(
         name, ns / len(F), "ns", f"its energy, jacfwd, vmap; {len(F):g} points; {compiling:.1f} s to compile"
     )
-
-
-@contextmanager
-def one_core() -> Iterator[None]:
-    """Hold this thread, and the processes that it starts, on one core where the system can."""
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(before)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
 
 
 if __name__ == "__main__":

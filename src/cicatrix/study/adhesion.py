@@ -36,7 +36,9 @@ def adhesion_of(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
     contraction, notes = contraction_of(case.cell), list[str]()
     if case.substrate.type in LAW_SUBSTRATES:
         substrate, error = _tissue(case, contraction)
-        notes = [f"The substrate's law was tabulated in uniaxial tension; error of the table {error:.1g} of its largest stress."]
+        notes = [
+            f"The substrate's law was tabulated in uniaxial tension; error of the table {error:.1g} of its largest stress."
+        ]
     else:
         substrate = _simple(case)
     law = Adhesion(bond_of(case.bond), substrate, contraction, case.cell.integrins_per_um2, case.bond.energy)
@@ -48,9 +50,7 @@ def bond_of(table: BondTable) -> Bond:
     """Make the bond that a table names."""
     catch = table.catch
     if catch is not None:
-        return CatchBond(
-            table.k_on_per_s, catch.k_catch_per_s, catch.k_slip_per_s, catch.f_catch_pN, catch.f_slip_pN
-        )
+        return CatchBond(table.k_on_per_s, catch.k_catch_per_s, catch.k_slip_per_s, catch.f_catch_pN, catch.f_slip_pN)
     return Bell(table.k_on_per_s, table.k_off_per_s, table.kT_pN_um)
 
 

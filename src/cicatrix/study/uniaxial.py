@@ -16,8 +16,7 @@ from jax import Array
 from ..biology.substrate import TabulatedCurve
 from ..core.errors import ConvergenceError
 from ..core.units import pn_um2_from_kpa
-from ..materials.material import EnergyMaterial
-from .laws import has_bulk_modulus
+from ..materials.material import EnergyMaterial, has_bulk_modulus
 
 NODES = 513  # of a table; every other one of them tells its error
 MOST = 200  # iterations
