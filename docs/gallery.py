@@ -147,17 +147,17 @@ def _row(field: dataclasses.Field, meaning: str) -> str:
     if "symbol" in field.metadata:
         per = inner_per_typed(field.metadata["typed"], field.metadata["unit"])
         low, high = field.metadata["low"] / per, field.metadata["high"] / per
-        low_high = _range(low, high)
+        low_high = _range(low, high, "above" if field.metadata["is_open"] else "from")
     elif "types" in field.metadata:
         low_high = "a table of type " + ", ".join(f"`{name}`" for name in field.metadata["types"])
     default = "" if field.default is dataclasses.MISSING else _shown(field)
     return f"| `{key_of(field)}` | {meaning} | {low_high} | {default} |\n"
 
 
-def _range(low: float, high: float) -> str:
+def _range(low: float, high: float, least: str) -> str:
     if np.isfinite(low) and np.isfinite(high):
         return f"{low:.4g} to {high:.4g}"
-    return f"from {low:.4g}" if np.isfinite(low) else f"to {high:.4g}" if np.isfinite(high) else "any"
+    return f"{least} {low:.4g}" if np.isfinite(low) else f"to {high:.4g}" if np.isfinite(high) else "any"
 
 
 def _shown(field: dataclasses.Field) -> str:

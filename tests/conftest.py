@@ -1,4 +1,6 @@
-"""What tests of several kinds build: small bodies on small meshes."""
+"""What tests of several kinds build: case files, small bodies on small meshes."""
+
+import gc
 
 import numpy as np
 import pytest
@@ -10,6 +12,10 @@ from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.body import Body, Frame
 from cicatrix.mechanics.space import Space
 from cicatrix.study.plans import Anatomy
+
+gc.set_threshold(
+    50_000, 20, 50
+)  # what JAX traces stays, and is not worth looking through so often: a seventh of the time
 
 
 @pytest.fixture(scope="session")
@@ -57,6 +63,18 @@ def slope():
         return (values[0] - 8 * values[1] + 8 * values[2] - values[3]) / (12 * h)
 
     return make
+
+
+@pytest.fixture
+def case_file(tmp_path):
+    """Case file of its own folder: text -> path."""
+
+    def write(text, name="case.toml"):
+        path = tmp_path / name
+        path.write_text(text)
+        return path
+
+    return write
 
 
 @pytest.fixture(scope="session")

@@ -36,16 +36,6 @@ radius_um = 90.0
 """
 
 
-@pytest.fixture
-def case_file(tmp_path):
-    def write(text, name="case.toml"):
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return write
-
-
 @pytest.mark.parametrize("name", ["automaton-disc", "automaton-ball"])
 def test_the_examples_close(name):
     path = Path(__file__).parents[2] / "examples" / f"{name}.toml"

@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples" / "laws").glob("*.toml"))
 COLUMNS = "step time_h lambda_x lambda_y lambda_z sigma_x_kPa sigma_y_kPa energy_kPa dissipation_kPa growth_x growth_y "
 COLUMNS += "growth_z sigma_z_kPa sigma_xy_kPa shear n_substeps"
+COMPILE_LONG = ("constrained-mixture", "neo-hookean-area-growth", "neo-hookean-viscous", "neo-hookean-volume-growth")
 FEW = ["loading.steps_per_segment=2", "solver.relative_tolerance=0.05"]
 
 
@@ -30,7 +31,11 @@ def test_every_law_has_an_example():
     assert {case.growth.type for case in cases if case.growth} == set(GROWTHS) - {"fibre"}  # that is with the papers
 
 
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
+def each(path):
+    return pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem in COMPILE_LONG))
+
+
+@pytest.mark.parametrize("path", map(each, EXAMPLES))
 def test_the_example_runs(path, tmp_path):
     history = cicatrix.simulate(cicatrix.load_case(path, FEW), tmp_path / "run").history
     assert list(history) == COLUMNS.split()

@@ -6,10 +6,10 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from maxwell_fibre import MaxwellFibre
 
 import cicatrix
 from cicatrix.cli.main import main
-from cicatrix.core.law import param
 from cicatrix.io import point_run
 from cicatrix.io.cases import case_table, check_case, load_case
 from cicatrix.io.progress import Progress
@@ -33,42 +33,10 @@ COLUMNS = ["step", "time_h", "lambda_x", "lambda_y", "lambda_z", "sigma_x_kPa", 
 COLUMNS += ["dissipation_kPa", "growth_x", "growth_y"]
 
 
-class Fibre(EnergyMaterial):
-    """Maxwell branch along x in logarithmic strain, relaxing within ``tau``."""
-
-    E: float = param("kPa", "E", low=0.0)
-    tau: float = param("s", "tau", low=0.0)
-
-    def energy(self, F, state=()):
-        return 0.5 * self.E * (self._strain(F) - state) ** 2
-
-    def initial_state(self, shape):
-        return jnp.zeros(shape)
-
-    def advance(self, F, state, dt):
-        return (state + dt / self.tau * self._strain(F)) / (1.0 + dt / self.tau)
-
-    def dissipated(self, F, before, after, dt):
-        return self.E * (self._strain(F) - after) * (after - before)
-
-    def _strain(self, F):
-        return 0.5 * jnp.log(jnp.sum(F[..., :, 0] ** 2, axis=-1))
-
-
-@pytest.fixture
-def case_file(tmp_path):
-    def write(text, name="case.toml"):
-        path = tmp_path / name
-        path.write_text(text)
-        return path
-
-    return write
-
-
 @pytest.fixture
 def viscous(monkeypatch):
     """Every case's law has a Maxwell branch that relaxes in half an hour."""
-    monkeypatch.setattr(point_run, "law_of", lambda case: Sum((law_of(case), Fibre(4.0, 1800.0))))
+    monkeypatch.setattr(point_run, "law_of", lambda case: Sum((law_of(case), MaxwellFibre(4.0, 1800.0))))
 
 
 def test_the_example_runs(tmp_path):
@@ -158,7 +126,7 @@ def test_stopped_and_resumed_is_uninterrupted(case_file, tmp_path, viscous):
 
 def test_a_law_that_jumps_is_told(case_file, monkeypatch):
     """A branch that relaxes in a second cannot be followed by steps of a 4096th of an hour where the strain jumps."""
-    monkeypatch.setattr(point_run, "law_of", lambda case: Sum((law_of(case), Fibre(4.0, 1.0))))
+    monkeypatch.setattr(point_run, "law_of", lambda case: Sum((law_of(case), MaxwellFibre(4.0, 1.0))))
     path = case_file(LAW + LOADING.replace("[1.0, 1.2, 1.2]", "[1.2, 1.2, 1.2]"))
     results = cicatrix.simulate(load_case(path, ["loading.steps_per_segment=1"]))
     assert any("their error was above solver.relative_tolerance" in note for note in results.manifest["notes"])

@@ -10,10 +10,10 @@ from pydantic import ValidationError, create_model
 from cicatrix.core.errors import InputError
 from cicatrix.core.law import Law, choice, param
 from cicatrix.io.cases import _sentence
-from cicatrix.materials.material import EnergyMaterial
+from cicatrix.materials.material import EnergyMaterial, has_bulk_modulus
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.study.case import Table
-from cicatrix.study.laws import LAWS, has_bulk_modulus, union_of
+from cicatrix.study.laws import LAWS, union_of
 
 
 class Even(Law):

@@ -1,11 +1,10 @@
 """Points some at a time give the numbers of all at once; the benchmark's laws are those of case files."""
 
-from functools import partial
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick import compiled
 
 from cicatrix.cli import bench_laws
 from cicatrix.core.errors import InputError
@@ -13,7 +12,6 @@ from cicatrix.materials.chunked import chunked
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.materials.orientation import Single
-from cicatrix.mechanics.body import COMPILER
 from cicatrix.study.laws import LAWS
 
 F = bench_laws.gradients(23)
@@ -24,7 +22,7 @@ def test_chunks_of_any_size_are_the_whole(size):
     law = FibreDistribution(2.0, Single(0.3), None, FibreViscosity(0.5, 10.0))
     points = F, law.initial_state((23,))
 
-    @partial(jax.jit, compiler_options=COMPILER)
+    @compiled
     def both(law):
         def work(p):
             return law.response(*p, 2.0)

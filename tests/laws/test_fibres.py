@@ -1,10 +1,9 @@
 """Fibres by their directions and waviness, against closed forms and quadrature by another library."""
 
-from functools import partial
-
 import jax
 import numpy as np
 import pytest
+from quick import compiled
 from scipy.integrate import quad
 from scipy.special import i0, i1
 from scipy.stats import beta as beta_density
@@ -17,7 +16,6 @@ from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.materials.orientation import Bingham, Fisher, Single, VonMises
 from cicatrix.materials.waviness import Beta, Triangular, Uniform
-from cicatrix.mechanics.body import COMPILER
 
 pytestmark = pytest.mark.xdist_group("fibres")  # compiled once
 
@@ -118,8 +116,8 @@ def test_slack_fibres_bear_nothing():
 
 
 STRAIGHT = FibreDistribution(2.0, Single(0.0), None, FibreViscosity(0.5, 10.0))
-step = jax.jit(lambda law, F, state, dt: law.response(F, state, dt), compiler_options=COMPILER)
-lost = jax.jit(lambda law, F, before, after, dt: law.dissipated(F, before, after, dt), compiler_options=COMPILER)
+step = compiled(lambda law, F, state, dt: law.response(F, state, dt))
+lost = compiled(lambda law, F, before, after, dt: law.dissipated(F, before, after, dt))
 
 
 def relaxed(law, F, times):
@@ -208,7 +206,7 @@ def test_response_by_moments_is_the_derived_one(law):
     """Of virgin elastic fibres, some of them slack."""
     F = np.eye(3) + 0.3 * np.random.default_rng(5).uniform(-1, 1, (3, 3, 3))
 
-    @partial(jax.jit, compiler_options=COMPILER)
+    @compiled
     def both(law):
         state = law.initial_state((3,))
         return law.response(F, state, 1.0), EnergyMaterial.response(law, F, state, 1.0)

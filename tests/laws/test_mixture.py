@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from quick import compiled
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import polar
 
@@ -14,7 +15,6 @@ from cicatrix.materials.homogenised import Homogenised
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.mixture import ConstrainedMixture
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.mechanics.body import COMPILER
 
 pytestmark = pytest.mark.xdist_group("mixture")  # compiled once
 
@@ -43,10 +43,6 @@ I = np.eye(3)
 
 def uniaxial(x):
     return np.diag([x, x**-0.5, x**-0.5])
-
-
-def compiled(function):
-    return jax.jit(function, compiler_options=COMPILER)
 
 
 ADVANCE = compiled(lambda mix, F, state, dt: mix.advance(F, state, dt))

@@ -1,20 +1,19 @@
 """Maxwell branches of isotropic laws, against small strain and against the same equations by another integrator."""
 
-import jax
 import numpy as np
 import pytest
+from quick import compiled
 from scipy.integrate import solve_ivp
 
 from cicatrix.core.errors import InputError
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.materials.ogden import Ogden
 from cicatrix.materials.viscoelastic import Viscoelastic
-from cicatrix.mechanics.body import COMPILER
 
 pytestmark = pytest.mark.xdist_group("viscoelastic")  # compiled once
 
-step = jax.jit(lambda law, F, state, dt: law.response(F, state, dt), compiler_options=COMPILER)
-lost = jax.jit(lambda law, F, before, after, dt: law.dissipated(F, before, after, dt), compiler_options=COMPILER)
+step = compiled(lambda law, F, state, dt: law.response(F, state, dt))
+lost = compiled(lambda law, F, before, after, dt: law.dissipated(F, before, after, dt))
 PRONY = Viscoelastic(NeoHookean(2.0, 50.0), (0.5, 0.25), (1.0, 10.0))
 
 

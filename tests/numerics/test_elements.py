@@ -4,9 +4,10 @@ import jax
 import numpy as np
 import pytest
 
+from cicatrix.core.compiler import COMPILER
 from cicatrix.core.scatter import contracted
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
-from cicatrix.mechanics.body import COMPILER, deformation_gradients
+from cicatrix.mechanics.body import deformation_gradients
 from cicatrix.mechanics.elements import (
     Bulk,
     Membrane,

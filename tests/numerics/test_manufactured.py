@@ -8,8 +8,8 @@ import scipy.sparse.linalg
 import skfem
 from skfem.quadrature import get_quadrature
 
+from cicatrix.core.compiler import COMPILER
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
-from cicatrix.mechanics.body import COMPILER
 from cicatrix.mechanics.space import tabulate
 
 LEVELS = (8, 16)  # elements along the unit square

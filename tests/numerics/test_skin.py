@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 import skfem
 
+from cicatrix.core.compiler import COMPILER
 from cicatrix.geometry.tetrahedra import oriented, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
-from cicatrix.mechanics.body import COMPILER, Body, Frame
+from cicatrix.mechanics.body import Body, Frame
 from cicatrix.mechanics.elements import (
     Membrane,
     membrane_energy,

@@ -7,11 +7,12 @@ import pytest
 import skfem
 from skfem.quadrature import get_quadrature
 
+from cicatrix.core.compiler import COMPILER
 from cicatrix.core.linear import LinearSolver
 from cicatrix.core.scatter import contracted
 from cicatrix.geometry.tetrahedra import boundary, oriented, unmirrored, volumes, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
-from cicatrix.mechanics.body import COMPILER, Body, Frame, deformation_gradients
+from cicatrix.mechanics.body import Body, Frame, deformation_gradients
 from cicatrix.mechanics.elements import (
     Bulk,
     dilation,

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import cicatrix
+from cicatrix.core.compiler import COMPILER
 from cicatrix.core.errors import InputError
 from cicatrix.inference.fit import fit, stresses_of
-from cicatrix.mechanics.body import COMPILER
 from cicatrix.study.laws import law_of
 from cicatrix.study.measured import experiment
 from cicatrix.study.parameters import parameters_of, replaced
@@ -107,6 +107,7 @@ def test_standard_error_of_a_straight_line():
     assert found.standard_errors[0] == pytest.approx(s / np.linalg.norm(x), rel=1e-7)
 
 
+@pytest.mark.slow
 def test_derivatives_through_a_viscous_history_are_those_of_differences():
     fibres = {
         "type": "fibre-distribution",

@@ -6,6 +6,7 @@ import jax
 import numpy as np
 import pytest
 
+from cicatrix.core.compiler import COMPILER
 from cicatrix.core.units import acceleration_mm_s2
 from cicatrix.materials.compose import Sum
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
@@ -14,7 +15,6 @@ from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.materials.orientation import VonMises
 from cicatrix.materials.viscoelastic import Viscoelastic
 from cicatrix.materials.waviness import Uniform
-from cicatrix.mechanics.body import COMPILER
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.march import Load, march, virgin
 from cicatrix.study.equilibrium import solid_body
@@ -80,12 +80,14 @@ def in_plane(k):
     return np.eye(3) + k * np.array([[0.08, 0.05, 0.0], [0.0, -0.03, 0.0], [0.0, 0.0, 0.0]])
 
 
+@pytest.mark.slow
 def test_a_homogeneous_section_is_a_material_point(rectangle, body_on):
     law, side = LAWS["viscous fibres"], 10.0
     border = lambda p: (np.abs(p[:2] - side / 2) > side / 2 - 1e-9).any(axis=0)  # noqa: E731
     is_a_point(body_on(rectangle(side, side, 2, 2), law, border, density=1e-6), law, in_plane)
 
 
+@pytest.mark.slow
 def test_viscous_tissue_sags_on_and_stops_at_its_law():
     """Stiffer by its branch at once, long after as soft as the law alone; meanwhile it turns work into heat."""
     law = LAWS["viscoelastic"]
@@ -104,7 +106,7 @@ def test_viscous_tissue_sags_on_and_stops_at_its_law():
     assert heat[-1] > 0.0
 
 
-@pytest.mark.parametrize("name", ["viscous fibres", "growing"])
+@pytest.mark.parametrize("name", ["growing", pytest.param("viscous fibres", marks=pytest.mark.slow)])
 def test_newton_converges_fast_under_gravity(name):
     """The consistent tangent: few iterations in a step of any length, symmetric or not."""
     body = cube(LAWS[name], lambda points: points[:, 1] > 9.9)

@@ -37,7 +37,7 @@ class Moreo(Law):
     """
 
     K_pass: float | Array = param("kPa", "K_pass", low=0.0)
-    K_act: float | Array = param("kPa", "K_act", low=1e-12)
+    K_act: float | Array = param("kPa", "K_act", above=0.0)
     p_max: float | Array = param("kPa", "p_max", low=0.0)
     theta_1: float | Array = param("1", "theta_1")
     theta_2: float | Array = param("1", "theta_2")

@@ -15,6 +15,7 @@ import jax
 import numpy as np
 from jax import Array
 
+from ..core.compiler import COMPILER
 from ..core.errors import CicatrixError
 from ..materials.active import ActiveFibres, Contraction
 from ..materials.chunked import chunked
@@ -31,7 +32,6 @@ from ..materials.ogden import Ogden
 from ..materials.orientation import VonMises
 from ..materials.viscoelastic import Viscoelastic
 from ..materials.waviness import Uniform
-from ..mechanics.body import COMPILER
 from .measurement import Measurement, best_of, one_core
 
 MANY, FEW = 1_000_000, 100_000  # points of a cheap law and of a costly one

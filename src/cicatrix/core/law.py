@@ -21,35 +21,36 @@ def param(
     *,
     low: float = -np.inf,
     high: float = np.inf,
+    above: float | None = None,
     default: Any = dataclasses.MISSING,
     typed: str | None = None,
     static: bool = False,
 ) -> Any:
-    """Declare a parameter of a law: its unit, symbol and closed range.
+    """Declare a parameter of a law: its unit, symbol and range, closed unless it is to be ``above`` a number.
 
     The value is a number or an array of one number per point; ``static`` ones are numbers, and not differentiable. A case
     file's key is the field's name and the unit that is ``typed`` there ("h" of a time in s, "deg" of an angle in rad), that
     of the law if nothing is said.
     """
-    metadata = {"unit": unit, "symbol": symbol, "low": low, "high": high, "typed": typed or unit}
-    given = {} if default is dataclasses.MISSING else {"default": default}
-    return eqx.field(static=static, metadata=metadata, **given)
+    bounds = {"low": low if above is None else above, "high": high, "is_open": above is not None}
+    metadata = {"unit": unit, "symbol": symbol, "typed": typed or unit, **bounds}
+    return _declared(metadata, default, static=static)
 
 
 def count(symbol: str, *, low: int, high: int, default: int) -> Any:
     """Declare a whole number that says how finely a law integrates: not differentiable, the same at all points."""
-    metadata = {"unit": "1", "symbol": symbol, "low": low, "high": high, "typed": "1"}
-    return eqx.field(static=True, metadata=metadata, default=default)
+    metadata = {"unit": "1", "symbol": symbol, "low": low, "high": high, "is_open": False, "typed": "1"}
+    return _declared(metadata, default, static=True)
 
 
 def choice(types: Mapping[str, type], *, default: Any = dataclasses.MISSING) -> Any:
     """Declare a part of a law that may be of several types; a case file names one by ``type`` in an inline table."""
-    metadata = {"types": dict(types)}
-    return (
-        eqx.field(metadata=metadata)
-        if default is dataclasses.MISSING
-        else eqx.field(metadata=metadata, default=default)
-    )
+    return _declared({"types": dict(types)}, default)
+
+
+def _declared(metadata: dict[str, Any], default: Any, *, static: bool = False) -> Any:
+    given = {} if default is dataclasses.MISSING else {"default": default}
+    return eqx.field(static=static, metadata=metadata, **given)
 
 
 class Law(eqx.Module):
@@ -74,10 +75,10 @@ def _check_range(law: str, field: dataclasses.Field, value: Any) -> None:
         return
     if isinstance(value, jax.core.Tracer) or not isinstance(value, (int, float, np.ndarray, jax.Array)):
         return  # inside a transformation: checked when the law was made
-    low, high = field.metadata["low"], field.metadata["high"]
-    smallest, largest = np.min(value), np.max(value)
-    if not (low <= smallest and largest <= high):
+    said, smallest, largest = field.metadata, np.min(value), np.max(value)
+    is_inside = smallest > said["low"] if said["is_open"] else smallest >= said["low"]
+    if not (is_inside and largest <= said["high"]):
         raise InputError(
-            f"{law}.{field.name} ({field.metadata['symbol']}) must lie in [{low:g}, {high:g}] {field.metadata['unit']}; "
-            f"got {smallest:g} .. {largest:g}."
+            f"{law}.{field.name} ({said['symbol']}) must lie in {'(' if said['is_open'] else '['}{said['low']:g}, "
+            f"{said['high']:g}] {said['unit']}; got {smallest:g} .. {largest:g}."
         )

@@ -71,6 +71,11 @@ def hours_from_seconds(time_s: Value) -> Value:
     return time_s / 3600.0
 
 
+def days_from_seconds(time_s: Value) -> Value:
+    """Time: [s] -> [days]."""
+    return days_from_hours(hours_from_seconds(time_s))
+
+
 def days_from_weeks(time_weeks: Value) -> Value:
     """Time: [weeks] -> [days]."""
     return time_weeks * DAYS_PER_WEEK

@@ -18,8 +18,8 @@ import numpy as np
 from jax import Array
 from scipy.optimize import least_squares
 
+from ..core.compiler import COMPILER
 from ..core.errors import ConvergenceError, InputError
-from ..mechanics.body import COMPILER
 from ..mechanics.point import Instant, history
 from ..mechanics.point_walk import lead
 from ..study.laws import law_of

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import jax
 import numpy as np
 
+from ..core.compiler import COMPILER
 from ..core.errors import ConvergenceError
 from ..core.newton import NewtonReport
-from ..core.units import acceleration_mm_s2, hours_from_seconds, ml_from_mm3
+from ..core.units import acceleration_mm_s2, days_from_seconds, hours_from_seconds, ml_from_mm3
 from ..mechanics.body import Body
 from ..mechanics.equilibrium import Equilibrium
 from ..mechanics.march import Load, Moment, march, virgin
@@ -21,8 +23,6 @@ from .figures_equilibrium import march_figure, shape_figure
 from .meshes import MeshedBody
 from .progress import Progress
 from .results import Quantity, RunFolder
-
-DAY_S = 86400.0
 
 
 @dataclass
@@ -90,7 +90,9 @@ class March:
         )
         cells = {"strain_energy_density_kPa": W.mean(axis=1), "growth": grown.mean(axis=1)}
         points, tetrahedra = self.given.points, self.given.tetrahedra
-        self.folder.write_fields("body", number, now.time / DAY_S, points, tetrahedra, {"displacement": shift}, cells)
+        self.folder.write_fields(
+            "body", number, days_from_seconds(now.time), points, tetrahedra, {"displacement": shift}, cells
+        )
 
     def _save(self, number: int, now: Moment) -> None:
         leaves = {f"leaf.{k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(now.state))}
@@ -126,6 +128,6 @@ class March:
         return f"The body went through {np.ptp(history['time_h']):.6g} h in {len(self.asked)} steps, {n} Newton iterations."
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=COMPILER)
 def _energy(law, F, state):
     return law.energy(F, state)

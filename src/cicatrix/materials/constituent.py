@@ -10,7 +10,7 @@ from jax import Array
 from ..core.errors import InputError
 from ..core.law import Law, param
 from ..core.tensors import IDENTITY
-from .material import EnergyMaterial
+from .material import EnergyMaterial, has_bulk_modulus
 
 
 class Constituent(Law):
@@ -56,12 +56,12 @@ class Constituent(Law):
     angle: float | Array = param("rad", "gamma", low=-np.pi, high=np.pi, default=0.0, typed="deg")
     elevation: float | Array = param("rad", "theta", low=-np.pi / 2, high=np.pi / 2, default=0.0, typed="deg")
     gain: float | Array = param("1", "K_sigma", low=0.0, default=0.0)
-    homeostatic_stress: float | Array | None = param("kPa", "sigma_h", low=1e-9, default=None)
+    homeostatic_stress: float | Array | None = param("kPa", "sigma_h", above=0.0, default=None)
 
     def __check_init__(self):
         if jax.tree.leaves(self.law.initial_state((1,))):
             raise InputError("Constituent.law must be elastic; each cohort would need a history of its own.")
-        if _bulk_moduli(self.law):
+        if has_bulk_modulus(self.law):
             raise InputError(
                 "Constituent.law must have kappa = 0 kPa: give kappa to the mixture, whose volume follows its mass."
             )
@@ -125,10 +125,3 @@ def _root(x: Array) -> Array:
 def _refers_to_nothing(gain, stress) -> bool:
     known = not any(isinstance(x, jax.core.Tracer) for x in (gain, stress))
     return known and bool(np.any((np.asarray(gain) > 0.0) & (np.asarray(stress) < 1e-9)))
-
-
-def _bulk_moduli(law: EnergyMaterial) -> bool:
-    """Whether a law or a part of it has a kappa that is not 0."""
-    named = jax.tree_util.tree_leaves_with_path(law)
-    kappas = [value for path, value in named if getattr(path[-1], "name", "") == "kappa"]
-    return any(bool(np.any(np.asarray(value) != 0.0)) for value in kappas if not isinstance(value, jax.core.Tracer))

@@ -49,7 +49,7 @@ class FibreViscosity(Law):
     """
 
     beta: float | Array = param("1", "beta", low=0.0)
-    relaxation: float | Array = param("s", "t_r", low=1e-12)
+    relaxation: float | Array = param("s", "t_r", above=0.0)
     n_waviness: int = count("n_w", low=1, high=256, default=6)
 
 

@@ -30,8 +30,8 @@ class Growth(Law):
         Cauchy stress at which stress-driven tissue neither grows nor shrinks.
     """
 
-    tau: float | Array = param("s", "tau_g", low=1e-12, typed="h")
-    homeostatic: float | Array | None = param("kPa", "sigma_h", low=1e-12, default=None)
+    tau: float | Array = param("s", "tau_g", above=0.0, typed="h")
+    homeostatic: float | Array | None = param("kPa", "sigma_h", above=0.0, default=None)
 
     def initial_state(self, shape: tuple[int, ...]) -> Array:
         """Growth of tissue that has not grown, 1: (*shape, n)."""

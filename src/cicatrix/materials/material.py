@@ -6,6 +6,7 @@ from typing import Any, NamedTuple, Protocol
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from ..core.law import Law
@@ -105,3 +106,10 @@ class EnergyMaterial(Law):
         A = columns.reshape(3, 3, *columns.shape[1:])
         volumetric, every = jnp.einsum("ii...jj->...", A), jnp.einsum("ij...ij->...", A)
         return (3.0 * every - volumetric) / 30.0, volumetric / 9.0
+
+
+def has_bulk_modulus(law: Law) -> bool:
+    """Whether a law, or a part of it, bears change of volume: its ``kappa`` is above 0."""
+    named = jax.tree_util.tree_leaves_with_path(law)
+    kappas = [value for path, value in named if getattr(path[-1], "name", "") == "kappa"]
+    return any(bool(np.any(np.asarray(value) > 0.0)) for value in kappas if not isinstance(value, jax.core.Tracer))

@@ -44,7 +44,7 @@ class Viscoelastic(EnergyMaterial):
 
     law: EnergyMaterial
     beta: tuple[float | Array, ...] = param("1", "beta", low=0.0)
-    relaxation: tuple[float | Array, ...] = param("s", "t_r", low=1e-12)
+    relaxation: tuple[float | Array, ...] = param("s", "t_r", above=0.0)
 
     def __check_init__(self):
         super().__check_init__()

@@ -13,6 +13,7 @@ import numpy as np
 import scipy.sparse as sp
 from jax import Array
 
+from ..core.compiler import COMPILER
 from ..core.ranks import Ranks
 from ..materials.material import EnergyMaterial
 from .elements import (
@@ -39,8 +40,6 @@ from .supports import Supports
 
 START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
 PIECE = 2048  # elements that are linearised at a time
-# the fused code generator of XLA takes twice as long to compile these kernels, and they run no faster for it
-COMPILER = {"xla_cpu_use_fusion_emitters": False}
 
 
 @dataclass(frozen=True, eq=False)

@@ -48,24 +48,27 @@ class Equilibrium:
     ) -> None:
         self.relative_tolerance, self.tell, self._on = relative_tolerance, tell, on
         self._linear: dict[bool, LinearSolver] = {}  # by whether a section's normal is left out
-        self._downhill = np.zeros(2, int)  # factorisations and Krylov steps of solvers that are gone
+        self._gone = np.zeros(2, int)  # factorisations and Krylov steps of solvers that are gone
 
     @property
     def factorizations(self) -> int:
         """Matrices factorised so far."""
-        return int(self._downhill[0]) + sum(solver.n_factorizations for solver in self._linear.values())
+        return int(self._gone[0]) + sum(solver.n_factorizations for solver in self._linear.values())
 
     @property
     def krylov_steps(self) -> int:
         """Solves with a factor so far."""
-        return int(self._downhill[1]) + sum(solver.n_steps for solver in self._linear.values())
+        return int(self._gone[1]) + sum(solver.n_steps for solver in self._linear.values())
 
     def forget(self) -> None:
         """Let all factors go; the next solve depends on its arguments alone."""
-        self._downhill += self.factorizations - self._downhill[0], self.krylov_steps - self._downhill[1]
         for solver in self._linear.values():
-            solver.forget()
+            self._retire(solver)
         self._linear.clear()
+
+    def _retire(self, solver: LinearSolver) -> None:
+        self._gone += solver.n_factorizations, solver.n_steps
+        solver.forget()
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on besides its arguments: the factors, for ``restore``."""
@@ -284,8 +287,7 @@ class Equilibrium:
             else:
                 raise ConvergenceError("No stable equilibrium was found.", ["every way down ended at a saddle"])
         finally:
-            self._downhill += solver.n_factorizations, solver.n_steps
-            solver.forget()
+            self._retire(solver)
         _check_elements(body, *problem.shapes(values))
         return problem.positions(values)
 

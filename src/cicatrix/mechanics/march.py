@@ -10,10 +10,11 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from ..core.compiler import COMPILER
 from ..core.newton import NewtonReport
 from ..materials.material import State
 from ..materials.stepped import Stepped
-from .body import COMPILER, Body
+from .body import Body
 from .equilibrium import Equilibrium
 
 

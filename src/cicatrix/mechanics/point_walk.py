@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -12,6 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from ..core.compiler import COMPILER
 from ..core.errors import ConvergenceError
 from ..core.units import hours_from_seconds
 from ..materials.material import EnergyMaterial
@@ -170,7 +172,7 @@ class _Strider:
         return both, [middle, target], float(error) if both_found else np.inf
 
 
-@jax.jit
+@partial(jax.jit, compiler_options=COMPILER)
 def _tried(law: EnergyMaterial, by: Control, before: Point, middle: Instant, target: Instant, largest: Array):
     """A step done whole and in halves, in one loop so that the law is compiled once.
 

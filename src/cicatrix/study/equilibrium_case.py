@@ -8,8 +8,9 @@ from typing import Annotated, Literal
 import jax
 from pydantic import model_validator
 
+from ..materials.material import has_bulk_modulus
 from .case import Table
-from .laws import AnyGrowth, AnyLaw, checked_law, has_bulk_modulus
+from .laws import AnyGrowth, AnyLaw, checked_law
 from .limits import Integer, Number, Times, Vector, fault, limits
 
 

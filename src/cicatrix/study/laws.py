@@ -120,17 +120,6 @@ def union_of(laws: Mapping[str, type[Law]]) -> Any:
     return whole
 
 
-def has_bulk_modulus(law: Any) -> bool:
-    """Whether a law, or a part of it, bears change of volume: its ``kappa`` is above 0."""
-    if isinstance(law, (tuple, list)):
-        return any(has_bulk_modulus(part) for part in law)
-    if not isinstance(law, Law):
-        return False
-    if np.any(np.asarray(getattr(law, "kappa", 0.0)) > 0.0):
-        return True
-    return any(has_bulk_modulus(getattr(law, field.name)) for field in dataclasses.fields(law))
-
-
 def tag_of(name: str) -> str:
     """Mark the name of a law where pydantic puts it between the keys of an error's place."""
     return f"<{name}>"
@@ -192,8 +181,9 @@ def _members(hint: Any) -> tuple[Any, ...]:
 def _number(field: dataclasses.Field, is_real: bool) -> Any:
     per = inner_per_typed(field.metadata["typed"], field.metadata["unit"])
     low, high = field.metadata["low"] / per, field.metadata["high"] / per
-    bounds = limits(least=low if np.isfinite(low) else None, most=high if np.isfinite(high) else None)
-    return Annotated[Number if is_real else Integer, bounds]
+    least = {"above" if field.metadata["is_open"] else "least": low} if np.isfinite(low) else {}
+    most = {"most": high} if np.isfinite(high) else {}
+    return Annotated[Number if is_real else Integer, limits(**least, **most)]
 
 
 def _inner(value: Any, field: dataclasses.Field) -> Any:
@@ -234,29 +224,30 @@ def law_of(case: NamesALaw) -> EnergyMaterial:
     InputError
         If values do not go together, or growth is said more than once.
     """
-    parts: tuple[Any, ...] = tuple(table.build() for table in case.law)
-    growths = [grown for table in case.law if (grown := table.growth_of_fibres())]
-    growths += [case.growth.build()] if case.growth else []
-    if len(growths) > 1:
-        raise InputError("growth must be said once, for the whole tissue")
-    law = parts[0] if len(parts) == 1 else Sum(parts)
-    return Growing(law, *growths) if growths else law
+    return _composed(case, [table.build() for table in case.law], case.growth.build() if case.growth else None)
 
 
 def checked_law(case: NamesALaw) -> EnergyMaterial:
     """``law_of`` while the case is checked: what is at fault is told with its table."""
-    for number, table in enumerate(case.law):
-        _told(f"law[{number}]", table.build)
-    if case.growth:
-        _told("growth", case.growth.build)
+    parts = [_told(f"law[{number}]", table.build) for number, table in enumerate(case.law)]
+    growth = _told("growth", case.growth.build) if case.growth else None
     try:
-        return law_of(case)
+        return _composed(case, parts, growth)
     except InputError as error:
         raise fault("growth", str(error).removeprefix("growth ")) from None
 
 
-def _told(key: str, build: Callable[[], Any]) -> None:
+def _composed(case: NamesALaw, parts: list[Any], growth: Any) -> EnergyMaterial:
+    growths = [grown for table in case.law if (grown := table.growth_of_fibres())]
+    growths += [growth] if growth else []
+    if len(growths) > 1:
+        raise InputError("growth must be said once, for the whole tissue")
+    law = parts[0] if len(parts) == 1 else Sum(tuple(parts))
+    return Growing(law, *growths) if growths else law
+
+
+def _told(key: str, build: Callable[[], Law]) -> Law:
     try:
-        build()
+        return build()
     except InputError as error:
         raise fault(key, f"is at fault: {error}") from None

@@ -7,8 +7,9 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, model_validator
 from pydantic_core import PydanticCustomError
 
+from ..materials.material import has_bulk_modulus
 from .case import Table
-from .laws import AnyGrowth, AnyLaw, checked_law, has_bulk_modulus
+from .laws import AnyGrowth, AnyLaw, checked_law
 from .limits import OUT_OF_RANGE, Integer, Number, Times, fault, limits
 
 Quantity = Literal["stretch", "stress"]

@@ -1,0 +1,9 @@
+"""A compiler for tests of laws at a few points: it takes a third of the time, and the code is slow."""
+
+from functools import partial
+
+import jax
+
+from cicatrix.core.compiler import COMPILER
+
+compiled = partial(jax.jit, compiler_options={**COMPILER, "xla_backend_optimization_level": 0})
