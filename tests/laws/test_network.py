@@ -6,8 +6,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cicatrix.biology.network import HillNetwork, Wiring
+from cicatrix.biology.network import HillNetwork
 from cicatrix.biology.rules import Factor, parse_rule
+from cicatrix.biology.wiring import Wiring
 from cicatrix.core.errors import InputError
 
 

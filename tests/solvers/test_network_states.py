@@ -9,10 +9,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
 
 from cicatrix.biology.courses import follow
-from cicatrix.biology.network import HillNetwork, Wiring
+from cicatrix.biology.network import HillNetwork
 from cicatrix.biology.rules import parse_rule
 from cicatrix.biology.sensitivity import of_end, of_steady_state
 from cicatrix.biology.steady import N_TIMES, latin_hypercube, steady_states
+from cicatrix.biology.wiring import Wiring
 from cicatrix.core.ode import Accuracy
 
 pytestmark = pytest.mark.xdist_group("signalling networks")

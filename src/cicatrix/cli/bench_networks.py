@@ -18,8 +18,9 @@ import numpy as np
 from jax import Array
 from scipy.integrate import solve_ivp
 
-from ..biology.network import HillNetwork, Wiring
+from ..biology.network import HillNetwork
 from ..biology.rules import Factor, Rule
+from ..biology.wiring import Wiring
 from ..core.errors import CicatrixError
 from ..core.ode import Accuracy, course
 from .measurement import Measurement, best_of, one_core

@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ..biology.network import HillNetwork, Inhibition, Wiring
+from ..biology.network import HillNetwork, Inhibition
 from ..biology.rules import parse_rule
+from ..biology.wiring import Wiring
 from ..core.errors import InputError
 from ..core.units import hours_from_seconds, seconds_from_hours
 from ..study.signalling import Model, refuse_unknown
