@@ -46,22 +46,26 @@ class _WithoutStates(Law):
 
 
 class TractionSignal(_WithoutStates):
-    r"""Traction that saturates, :math:`H = t_a / (K + t_a)`.
+    r"""Traction that saturates, :math:`H = \langle t_a - t_0 \rangle / (K + \langle t_a - t_0 \rangle)`.
 
     Guo, Mofrad & Buganza Tepole print constants in its place (Eqs 28-30) and say in words that production follows t_a; that it
-    saturates, and is 0 without traction, is read into them.
+    saturates, and is 0 without traction, is read into them. Cells pull at tissue that is not stretched, too: with the traction
+    there as t_0 such tissue stays as it is; with 0 it grows.
 
     Parameters
     ----------
     K : float or (...) array [kPa]
-        Traction of half the effect; of the magnitude of those in Fig. 4.
+        Traction beyond t_0 of half the effect.
+    threshold : float or (...) array [kPa]
+        t_0.
     """
 
     K: float | Array = param("kPa", "K_t", above=0.0, default=1.0)
+    threshold: float | Array = param("kPa", "t_0", low=0.0, default=0.0)
 
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
         """H (...)."""
-        return _saturated(traction, self.K)
+        return _saturated(traction - self.threshold, self.K)
 
 
 class StrainSignal(_WithoutStates):
@@ -115,7 +119,9 @@ class NetworkSignal(Law):
             ("output", self.output, self.network.species),
         ):
             if name not in known:
-                raise InputError(f'{what}: the network has no such {what} "{name}"; it has {", ".join(known) or "none"}')
+                raise InputError(
+                    f'{what}: the network has no such {what} "{name}"; it has {", ".join(known) or "none"}'
+                )
         if isinstance(self.network.y_max, np.ndarray) and not np.all(self.network.y_max[..., self._row] > 0.0):
             raise InputError(f'output: y_max of "{self.output}" must be above 0')
 

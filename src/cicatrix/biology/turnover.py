@@ -22,8 +22,9 @@ class Turnover(Law):
     Source: Guo, Mofrad & Buganza Tepole, Eqs (28)-(30). Read so: cells count in those of healthy tissue, cytokine in a largest
     amount, collagen in that of healthy tissue, so every rate is one per time; what the print multiplies by nothing,
     :math:`p_{\cdot,t^a}`, multiplies the signal; its :math:`D_{\rho,\rho}` and :math:`D_{c,c}` are the rates of exchange
-    :math:`x_\rho, x_c` with the surroundings. Defaults are those in use by this group's wound models; the two rates of exchange,
-    which they have no use for, are chosen. The K of collagen is the one at which healthy tissue without cytokine keeps its collagen.
+    :math:`x_\rho, x_c` with the surroundings. Defaults are those in use by this group's wound models but for three: the rates of
+    exchange, which they have no use for, are chosen, and :math:`K_{\rho,\rho}` is 1.25 instead of 1, so that healthy tissue keeps
+    its cells, :math:`K_{\rho,\rho} (1 - d_\rho / p_\rho) = 1`, as it keeps its collagen by the :math:`K_{f,\rho}` in use.
 
     Parameters
     ----------
@@ -60,7 +61,7 @@ class Turnover(Law):
     d_rho: float | Array = param("1/s", "d_rho", low=0.0, default=0.2 * 0.034 / 3600, typed="1/h")
     x_rho: float | Array = param("1/s", "D_rho,rho", low=0.0, default=0.034 / 3600, typed="1/h")
     K_rho_c: float | Array = param("1", "K_rho,c", above=0.0, default=0.1)
-    K_rho_rho: float | Array = param("1", "K_rho,rho", above=0.0, default=1.0)
+    K_rho_rho: float | Array = param("1", "K_rho,rho", above=0.0, default=1.25)
     p_c: float | Array = param("1/s", "p_c,c", low=0.0, default=90e-16 / 1e-4 / 3600, typed="1/h")
     p_c_t: float | Array = param("1/s", "p_c,t", low=0.0, default=300e-16 / 1e-4**2 / 3600, typed="1/h")
     d_c: float | Array = param("1/s", "d_c", low=0.0, default=0.01 / 3600, typed="1/h")

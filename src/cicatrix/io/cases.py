@@ -22,9 +22,10 @@ from ..study.laws import tag_of
 from ..study.limits import FAULT, OUT_OF_RANGE
 from ..study.point_case import PointCase
 from ..study.signalling_case import SignallingCase
+from ..study.tissue_cell_case import TissueCellCase
 from .paths import input_path
 
-Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase | AdhesionCase | SignallingCase
+Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase | AdhesionCase | SignallingCase | TissueCellCase
 KINDS: dict[str, type[Case]] = {
     "lumpectomy": LumpectomyCase,
     "automaton": AutomatonCase,
@@ -32,6 +33,7 @@ KINDS: dict[str, type[Case]] = {
     "material-point": PointCase,
     "adhesion": AdhesionCase,
     "signalling": SignallingCase,
+    "tissue-cell": TissueCellCase,
 }
 FILES = {  # table and key of everything that names a file
     "lumpectomy": (("image", "path"), ("image", "labels")),
@@ -39,6 +41,7 @@ FILES = {  # table and key of everything that names a file
     "equilibrium": (("body", "mesh"),),
     "material-point": (),
     "adhesion": (),
+    "tissue-cell": (("signal", "species"), ("signal", "reactions")),
     "signalling": (("network", "species"), ("network", "reactions"), ("network", "sbml")),
 }
 CHECKS = {"signalling": (".networks", "faults_of")}  # of what a case's files hold, as far as that is soon done
@@ -129,14 +132,14 @@ def case_table(case: Case) -> dict[str, Any]:
     """
     table = case.model_dump(mode="python")
     for name, key in FILES[case.kind]:
-        if isinstance(table[name][key], Path):
+        if isinstance(table[name].get(key), Path):
             table[name][key] = table[name][key].name
     return json.loads(json.dumps(table))
 
 
 def input_files(case: Case) -> dict[str, Path]:
     """Return the files and folders that a case reads, by key."""
-    found = {f"{name}.{key}": getattr(getattr(case, name), key) for name, key in FILES[case.kind]}
+    found = {f"{name}.{key}": getattr(getattr(case, name), key, None) for name, key in FILES[case.kind]}
     return {key: path for key, path in found.items() if isinstance(path, Path)}
 
 

@@ -22,6 +22,7 @@ RUNS = {
     "material-point": (".point_run", "PointRun"),
     "adhesion": (".adhesion_run", "AdhesionRun"),
     "signalling": (".signalling_run", "SignallingRun"),
+    "tissue-cell": (".tissue_cell_run", "TissueCellRun"),
 }
 FOLLOWERS = {  # what the other ranks of several do
     "automaton": (".automaton_run", "follow"),
@@ -36,7 +37,7 @@ def simulate(
 
     Parameters
     ----------
-    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase, AdhesionCase or SignallingCase
+    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase, AdhesionCase, SignallingCase or TissueCellCase
         What to run.
     out : str or Path, optional
         The run's folder; without it nothing is kept on disk.

@@ -81,7 +81,9 @@ class TissueCellRun:
     def _pass(self, row: int, y: np.ndarray) -> tuple[np.ndarray, int]:
         """Some rows on from one: the states there, and the solver's steps."""
         rows = np.minimum(np.arange(row, row + CHUNK + 1), len(self.model.times) - 1)  # as many always: compiled once
-        done = follow(self.model.chain, self.model.corners, jnp.asarray(y), self.model.times[rows], accuracy_of(self.case))
+        done = follow(
+            self.model.chain, self.model.corners, jnp.asarray(y), self.model.times[rows], accuracy_of(self.case)
+        )
         states = np.asarray(done.y)
         if not done.is_done:
             raise self._failure(self.model.times[rows], states, int(done.n_steps))

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Annotated, Any, Literal, Union, get_args
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import Discriminator, Tag, create_model, model_validator
+from pydantic import create_model, model_validator
 
 from .case import Table
-from .laws import ANY, LAWS, AnyLaw, LawTable, checked_law, tag_of
+from .laws import ANY, LAWS, AnyLaw, LawTable, checked_law, one_of
 from .limits import Integer, NotNegative, Number, Positive, Probability, fault, limits
 
 MOST_BONDS = 10**9  # in one run
@@ -116,12 +115,7 @@ def _any_substrate() -> Any:
             column.model_rebuild(_types_namespace={ANY: AnyLaw})
             tables[name] = column
 
-    def named(value: Any) -> str:
-        return tag_of(str(value.get("type") if isinstance(value, Mapping) else getattr(value, "type", None)))
-
-    return Annotated[
-        Union[*(Annotated[table, Tag(tag_of(name))] for name, table in tables.items())], Discriminator(named)
-    ]
+    return one_of(tables)
 
 
 AnySubstrate = _any_substrate()

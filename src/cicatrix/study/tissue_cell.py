@@ -41,7 +41,7 @@ class Model(NamedTuple):
     notes: tuple[str, ...]
 
     def stretch(self, time: np.ndarray) -> np.ndarray:
-        """lambda (...) [1] at times (...) [s]."""
+        """Lambda (...) [1] at times (...) [s]."""
         return np.interp(time, *self.corners.T)
 
 
@@ -76,11 +76,11 @@ def model_of(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | Non
 def _signal(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | None) -> Signal:
     table = case.signal
     if isinstance(table, TractionTable):
-        return TractionSignal(table.K_kPa)
+        return TractionSignal(table.K_kPa, table.threshold_kPa)
     if isinstance(table, NetworkSignalTable):
         if network is None:
             raise InputError("signal.species and signal.reactions must be read first")
-        return NetworkSignal(network[0], TractionSignal(table.K_kPa), table.input, table.output)
+        return NetworkSignal(network[0], TractionSignal(table.K_kPa, table.threshold_kPa), table.input, table.output)
     cell = Moreo(table.K_pass_kPa, table.K_act_kPa, table.p_max_kPa, table.theta_1, table.theta_2)
     return StrainSignal(cell, table.K_kPa)
 

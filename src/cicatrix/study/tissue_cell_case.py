@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Discriminator, Field, model_validator
+from pydantic import Field, model_validator
 
 from ..biology.turnover import Turnover
 from .adhesion_case import AnySubstrate, BondTable, CellTable
 from .case import Table
-from .laws import AnyLaw, checked_law, table_of
+from .laws import AnyLaw, checked_law, one_of, table_of
 from .limits import Integer, NotNegative, Number, Positive, Probability, Times, fault, limits
 
 YIELDING = ("maxwell", "standard-linear-solid")
@@ -34,8 +34,9 @@ class LoadingTable(Table):
 class TractionTable(Table):
     """The traction at the adhesions, which saturates: :class:`..biology.signals.TractionSignal`."""
 
-    type: Literal["traction"] = "traction"
+    type: Literal["traction"]
     K_kPa: Positive = 1.0
+    threshold_kPa: NotNegative = 0.0
 
 
 class MoreoTable(Table):
@@ -57,9 +58,10 @@ class NetworkSignalTable(Table):
     species: Path
     reactions: Path
     inhibition: Literal["complement", "weighted"] = "complement"
-    input: str  # driven by the traction over itself and K_kPa
+    input: str  # driven by the traction, saturated as above
     output: str  # whose activity is the signal
     K_kPa: Positive = 1.0
+    threshold_kPa: NotNegative = 0.0
 
 
 class StartTable(Table):
@@ -87,7 +89,7 @@ class SolverTable(Table):
 
 
 TurnoverTable = table_of(Turnover)
-AnySignal = Annotated[TractionTable | MoreoTable | NetworkSignalTable, Discriminator("type")]
+AnySignal = one_of({"traction": TractionTable, "moreo": MoreoTable, "network": NetworkSignalTable})
 
 
 class TissueCellCase(Table):
@@ -99,8 +101,8 @@ class TissueCellCase(Table):
     bond: BondTable
     substrate: AnySubstrate  # pyright: ignore[reportInvalidTypeForm]
     cell: CellTable
-    signal: AnySignal = TractionTable()
-    turnover: Any = Field(default_factory=TurnoverTable, validate_default=True)
+    signal: AnySignal = TractionTable(type="traction")  # pyright: ignore[reportInvalidTypeForm]
+    turnover: TurnoverTable = Field(default_factory=TurnoverTable)  # pyright: ignore[reportInvalidTypeForm]
     growth_density: Annotated[Number, limits(above=0.0)] = 1.0  # varrho_f of Eq. (27)
     scale: ScaleTable = ScaleTable()
     start: StartTable = StartTable()
@@ -122,7 +124,9 @@ class TissueCellCase(Table):
             raise fault("law", "must be at least one table [[law]]: the tissue's own")
         law = checked_law(self)
         if not law.has_potential() or law.initial_state((1,)) != ():
-            raise fault("law", "must be elastic: hours later its viscous parts have flown, and growth is that of the cells")
+            raise fault(
+                "law", "must be elastic: hours later its viscous parts have flown, and growth is that of the cells"
+            )
         return self
 
     @model_validator(mode="after")
