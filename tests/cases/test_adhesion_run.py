@@ -199,8 +199,9 @@ FAULTS = {
         "bond.k_off_per_s and catch exclude each other: catch has rates of its own",
     ),
     "energy": (["bond.energy=both"], 'bond.energy must be "work" or "stored"; got "both"'),
-    "both forces": ([FEEDBACK, "cell.force_pN=1.0"], "cell.force_pN and feedback exclude each other: one of the two"),
-    "no force": (["cell={}"], "cell.force_pN or feedback must be given: one of the two"),
+    "both forces": ([FEEDBACK, "cell.force_pN=1.0"], "cell.force_pN or feedback or clutch must be given, one of them; got force_pN, feedback"),
+    "no force": (["cell={}"], "cell.force_pN or feedback or clutch must be given, one of them; got none"),
+    "clutches of the mean": (["cell={clutch={}}"], 'method.type must be "monte-carlo" for cell.clutch; got "ode"'),
     "no stretch": (["substrate.stretch=[]"], "substrate.stretch must be a list of one number at least"),
     "stretch 0": (["substrate.stretch=[0.0]"], "substrate.stretch[0] must be above 0; got 0.0"),
     "near key": (
@@ -265,3 +266,27 @@ def test_outcome_is_plain(case_file, tmp_path):
     assert outcome["bonds"]["value"] == 32_000
     assert outcome["steps"]["value"] == 600
     assert all(set(asked) == {"value", "unit", "note"} for asked in outcome.values())
+
+
+def test_motors_and_clutches(case_file, tmp_path):
+    """Bonds that never open stall 50 motors of 2 pN: 100 pN on 40 clutches is 2.5 pN each and 1 kPa at 400 per um^2."""
+    settings = ["cell={clutch={}}", "bond.k_off_per_s=1e-12", "method.start_bound_fraction=1.0", *STEPS[2:]]
+    settings += ["cell.clutch.bond_force_pN=1e3", "method.n_integrins=40", "method.n_cells=2"]
+    case = load_case(case_file, settings)
+    straight = cicatrix.simulate(case, tmp_path / "straight")
+    assert straight.outcome["cell_force_pN"].value == pytest.approx([100.0, 100.0], rel=1e-6)
+    assert straight.outcome["flow_um_per_s"].value == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert straight.history["force_pN"][-1] == pytest.approx(2.5, rel=1e-6)
+    assert straight.history["traction_kPa"][-1] == pytest.approx(1.0, rel=1e-6)
+    with pytest.raises(KeyboardInterrupt):
+        cicatrix.simulate(case, tmp_path / "stopped", progress=Stopper(2))
+    cicatrix.simulate(case, tmp_path / "stopped", resume=True)
+    assert (tmp_path / "stopped" / "history.csv").read_bytes() == (tmp_path / "straight" / "history.csv").read_bytes()
+
+
+def test_cluster_of_a_case(case_file):
+    """Two bonds that share 14 pN on springs of their own, by hand: 1/r_2 + (1 + g_1 / r_2) / r_1."""
+    results = cicatrix.simulate(load_case(case_file, ["cluster={bonds=2}"]))
+    r2, r1 = 2 * 0.012 * np.exp(49 / 2e4 / KT), 0.012 * np.exp(14**2 / 2e4 / KT)
+    by_hand = 1 / r2 + (1 + 0.01 / r2) / r1
+    assert results.outcome["cluster_lifetime_s"].value == pytest.approx([by_hand, by_hand], rel=1e-10)

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..biology.adhesion import Adhesion, anchored
 from ..biology.bond import Bell, Bond, CatchBond
+from ..biology.clutch import Ground, MotorClutch, ground_of
 from ..biology.contraction import ConstantForce, Contraction, Feedback
 from ..biology.substrate import Column, ExponentialFibre, LinearSubstrate, Substrate
 from ..biology.viscoelastic_substrate import StandardLinearSolid
@@ -57,9 +58,28 @@ def bond_of(table: BondTable) -> Bond:
 def contraction_of(table: CellTable) -> Contraction:
     """Make the contraction that a table names."""
     if table.feedback is None:
-        return ConstantForce(table.force_pN)
+        return ConstantForce(table.force_pN or 0.0)  # clutches bring their own
     given = table.feedback
     return Feedback(given.f0_pN, given.beta, given.k_a_pN_um, given.k_N_pN_um)
+
+
+def clutch_of(case: AdhesionCase) -> MotorClutch | None:
+    """Make the motors and clutches that a case names."""
+    given = case.cell.clutch
+    if given is None:
+        return None
+    reach = case.bond.kT_pN_um / given.bond_force_pN
+    return MotorClutch(
+        bond_of(case.bond), given.stiffness_pN_um, reach, given.motors, given.motor_force_pN, given.velocity_um_per_s
+    )
+
+
+def ground_under(law: Adhesion, stretch: np.ndarray) -> Ground:
+    """What clutches pull at together at stretches (g,): the substrate's tangent stiffness, or its springs and dashpot."""
+    substrate, each = law.substrate, np.ones_like(stretch)
+    if isinstance(substrate, StandardLinearSolid):
+        return Ground(substrate.K_long * each, substrate.K_added * each, substrate.viscosity * each)
+    return ground_of(np.asarray(anchored(law, stretch).stiffness))
 
 
 def yields(case: AdhesionCase) -> bool:
