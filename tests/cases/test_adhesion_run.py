@@ -3,11 +3,13 @@
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 import cicatrix
+from cicatrix.biology.adhesion import anchored
 from cicatrix.cli.main import main
 from cicatrix.core.errors import ConvergenceError
 from cicatrix.io.cases import check_case, load_case
@@ -17,7 +19,7 @@ from cicatrix.study.adhesion import adhesion_of
 from cicatrix.study.uniaxial import Tension
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "adhesion"
-COLUMNS = "step time_s stretch bound_fraction bound_fraction_sd force_pN traction_kPa".split()
+COLUMNS = ["step", "time_s", "stretch", "bound_fraction", "bound_fraction_sd", "force_pN", "traction_kPa"]
 KT = 4.28317e-3
 CASE = """
 kind = "adhesion"
@@ -103,7 +105,7 @@ def test_mean_field_on_a_substrate_that_yields(case_file):
 
     theirs = solve_ivp(rate, (0.0, 300.0), [0.0], rtol=1e-10, atol=1e-12, t_eval=np.linspace(0, 300, 5)).y[0]
     np.testing.assert_allclose(cicatrix.simulate(case).history["bound_fraction"], theirs, atol=1e-7)
-    assert float(law.rate(0.3, 1.0, 50.0)) == pytest.approx(rate(50.0, 0.3), rel=1e-10)
+    assert float(jax.jit(law.rate)(0.3, 1.0, 50.0)) == pytest.approx(rate(50.0, 0.3), rel=1e-10)
 
 
 class Stopper(Progress):
@@ -149,14 +151,16 @@ def test_tissue_as_substrate(case_file):
     case = load_case(case_file, [NEO, "cell.force_pN=7.0"])
     law, notes = adhesion_of(case)
     assert "tabulated in uniaxial tension" in notes[0]
-    at = law.anchored(np.array([1.0, 1.3]))
+    at = anchored(law, np.array([1.0, 1.3]))
     mu = 1e4  # pN/um^2
     np.testing.assert_allclose(at.stiffness, 0.17 * mu * np.array([3.0, 1 + 2 / 1.3**3]), rtol=1e-7)
     way = np.asarray(at.energy) / 7.0 / 0.1
     to = np.array([1.0, 1.3]) + way
     np.testing.assert_allclose(to - to**-2.0, [7.0 / 0.017 / mu, 1.3 - 1.3**-2 + 7.0 / 0.017 / mu], rtol=1e-7)
-    same = load_case(case_file, ["substrate={type='law', area_um2=0.017, length_um=0.1, stretch=[1.0, 1.3]}", *two(5.0)])
-    np.testing.assert_allclose(adhesion_of(same)[0].anchored(np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
+    same = load_case(
+        case_file, ["substrate={type='law', area_um2=0.017, length_um=0.1, stretch=[1.0, 1.3]}", *two(5.0)]
+    )
+    np.testing.assert_allclose(anchored(adhesion_of(same)[0], np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
 
 
 def two(mu):
@@ -199,7 +203,10 @@ FAULTS = {
         "bond.k_off_per_s and catch exclude each other: catch has rates of its own",
     ),
     "energy": (["bond.energy=both"], 'bond.energy must be "work" or "stored"; got "both"'),
-    "both forces": ([FEEDBACK, "cell.force_pN=1.0"], "cell.force_pN or feedback or clutch must be given, one of them; got force_pN, feedback"),
+    "both forces": (
+        [FEEDBACK, "cell.force_pN=1.0"],
+        "cell.force_pN or feedback or clutch must be given, one of them; got force_pN, feedback",
+    ),
     "no force": (["cell={}"], "cell.force_pN or feedback or clutch must be given, one of them; got none"),
     "clutches of the mean": (["cell={clutch={}}"], 'method.type must be "monte-carlo" for cell.clutch; got "ode"'),
     "no stretch": (["substrate.stretch=[]"], "substrate.stretch must be a list of one number at least"),
@@ -219,7 +226,10 @@ FAULTS = {
         ["method.type=ssa", "method.n_integrins=100000000"],
         "method.n_integrins times n_cells times stretches must be at most 1e+09 bonds; got 3.2e+09",
     ),
-    "a law for nothing": (two(1.0), 'law must be at least one table [[law]] for substrate.type = "law", and none otherwise'),
+    "a law for nothing": (
+        two(1.0),
+        'law must be at least one table [[law]] for substrate.type = "law", and none otherwise',
+    ),
     "law at fault": (
         ["substrate={type='neo-hookean', mu_kPa=-1.0, area_um2=1.0, length_um=1.0}"],
         "substrate.mu_kPa must be at least 0; got -1.0",
@@ -243,9 +253,15 @@ def test_unknown_substrate_lists_the_known_ones(case_file):
 
 FIBRE = "substrate={type='exponential-fibre', k1_MPa=0.07, k2=20.8, area_um2=0.017, length_um=0.1, stretch=[1.0, 0.7]}"
 UNSOUND = {
-    "feedback": ([FEEDBACK], "feedback does not hold: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got -0.5 at"),
+    "feedback": (
+        [FEEDBACK],
+        "feedback does not hold: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got -0.5 at",
+    ),
     "slack": ([FIBRE], "substrate.stretch 0.7: the tangent stiffness there must be positive; got -"),
-    "too strong": (["cell.force_pN=1e9"], "the adhesion has no finite k_off at a stretch of 1: a force of 1e+09 pN is too much"),
+    "too strong": (
+        ["cell.force_pN=1e9"],
+        "the adhesion has no finite k_off at a stretch of 1: a force of 1e+09 pN is too much",
+    ),
 }
 
 

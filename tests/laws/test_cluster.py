@@ -10,7 +10,9 @@ from cicatrix.biology.cluster import ForceSharing, mean_lifetime, sample_lifetim
 @pytest.mark.parametrize("size", [1, 2, 10, 100])
 def test_no_force_no_rebinding(size):
     """They open one by one: the harmonic number."""
-    assert float(ForceSharing(0.0).lifetime(size, 0.0)) == pytest.approx(sum(1 / i for i in range(1, size + 1)), rel=1e-13)
+    assert float(ForceSharing(0.0).lifetime(size, 0.0)) == pytest.approx(
+        sum(1 / i for i in range(1, size + 1)), rel=1e-13
+    )
 
 
 def test_force_without_rebinding():
@@ -70,7 +72,9 @@ def test_derivative_by_force(slope):
 
 def test_shared_is_the_cluster_of_bell_bonds():
     """k_off0 exp(F / f_b) with f_b = 4 pN: times of 1 / k_off0, forces of f_b."""
-    found = shared(6, np.array([1.0, 3.0]), lambda force: 0.02 * np.e ** (force / 4.0), 0.03, True)
+    found = jax.jit(lambda f: shared(6, f, lambda force: 0.02 * np.e ** (force / 4.0), 0.03, True))(
+        np.array([1.0, 3.0])
+    )
     law = ForceSharing(1.5)
     np.testing.assert_allclose(found, law.lifetime(6, np.array([6.0, 18.0]) / 4.0) / 0.02, rtol=1e-12)
     alone = shared(6, np.array(0.0), lambda force: 0.02 + 0.0 * force, 0.03, False)

@@ -78,9 +78,7 @@ def mean_lifetime(opening: Array, closing: Array) -> Array:
     return jnp.sum(steps, axis=0)
 
 
-def sample_lifetimes(
-    opening: np.ndarray, closing: np.ndarray, n: int, seed: int, most: int = 10_000_000
-) -> np.ndarray:
+def sample_lifetimes(opening: np.ndarray, closing: np.ndarray, n: int, seed: int, most: int = 10_000_000) -> np.ndarray:
     """Lifetimes (n,) [s] of clusters that start closed, by exact stochastic simulation: rates (N,) [1/s] as of ``mean_lifetime``.
 
     A draw belongs to seed, cluster and event. Clusters that live through ``most`` events give NaN.

@@ -97,34 +97,11 @@ class MotorClutch(Law):
         word = site_words(seed, np.arange(now.bound.size), step, Phase.CLUTCH)[:, 0].reshape(now.bound.shape)
         bound = now.bound ^ ((word + 0.5) / 2.0**32 < chance)
         end = np.where(now.bound, now.end, now.ground[:, None])
-        drawn = np.where(bound, end + dt * self._flow_in_step(ground, now, bound, end, dt)[:, None], 0.0)
-        place, flowed = self._balanced(ground, now.flowed, bound, drawn, dt)
+        stall = self.motors * self.motor_force
+        flow = _slowed(stall, self.velocity, self.stiffness, ground, now.flowed, bound, end, dt)
+        drawn = np.where(bound, end + dt * flow[:, None], 0.0)
+        place, flowed = _balanced(self.stiffness, ground, now.flowed, bound, drawn, dt)
         return Clutches(bound, drawn, place, flowed)
-
-    def _flow_in_step(
-        self, ground: Ground, now: Clutches, bound: np.ndarray, end: np.ndarray, dt: float
-    ) -> np.ndarray:
-        """Velocity (g,) [um/s] whose force at the end of the step is the one that slows it: stable for steps of any length."""
-        still = self._force_after(ground, now, bound, end, dt)
-        stiffness = self._force_after(ground, now, bound, end + bound, dt) - still  # force for 1 um of all closed ones
-        slowed = self.velocity / (self.motors * self.motor_force)
-        return (self.velocity - slowed * still) / (1.0 + slowed * dt * stiffness)
-
-    def _force_after(
-        self, ground: Ground, now: Clutches, bound: np.ndarray, end: np.ndarray, dt: float
-    ) -> np.ndarray:
-        place, flowed = self._balanced(ground, now.flowed, bound, end, dt)
-        return ground.long * place + ground.added * (place - flowed)
-
-    def _balanced(
-        self, ground: Ground, flowed: np.ndarray, bound: np.ndarray, end: np.ndarray, dt: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Displacement of the substrate and of its dashpot at the end of a step (g,) [um]: backward Euler."""
-        give = ground.added * dt / ground.viscosity
-        series = ground.added / (1.0 + give)  # force of the added spring: series * (x_s - flowed)
-        pull = self.stiffness * np.sum(np.where(bound, end, 0.0), axis=1)
-        place = (pull + series * flowed) / (ground.long + series + self.stiffness * bound.sum(axis=1))
-        return place, (flowed + give * place) / (1.0 + give)
 
 
 def ground_of(stiffness: np.ndarray) -> Ground:
@@ -138,3 +115,37 @@ def ground_of(stiffness: np.ndarray) -> Ground:
     if not np.all(stiffness > 0.0):
         raise InputError(f"the substrate's stiffness must be positive; got {np.min(stiffness):g} pN/um")
     return Ground(stiffness, np.zeros_like(stiffness), np.ones_like(stiffness))
+
+
+def _slowed(
+    stall: float,
+    velocity: float,
+    k_c: float,
+    ground: Ground,
+    flowed: np.ndarray,
+    bound: np.ndarray,
+    end: np.ndarray,
+    dt: float,
+) -> np.ndarray:
+    """Velocity (g,) [um/s] whose force at the end of the step is the one that slows it: stable for steps of any length."""
+    still = _force_after(k_c, ground, flowed, bound, end, dt)
+    stiffness = _force_after(k_c, ground, flowed, bound, end + bound, dt) - still  # for 1 um of all closed ones
+    return velocity * (1.0 - still / stall) / (1.0 + velocity / stall * dt * stiffness)
+
+
+def _force_after(
+    k_c: float, ground: Ground, flowed: np.ndarray, bound: np.ndarray, end: np.ndarray, dt: float
+) -> np.ndarray:
+    place, after = _balanced(k_c, ground, flowed, bound, end, dt)
+    return ground.long * place + ground.added * (place - after)
+
+
+def _balanced(
+    k_c: float, ground: Ground, flowed: np.ndarray, bound: np.ndarray, end: np.ndarray, dt: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement of the substrate and of its dashpot at the end of a step (g,) [um]: backward Euler."""
+    give = ground.added * dt / ground.viscosity
+    series = ground.added / (1.0 + give)  # force of the added spring: series * (x_s - flowed)
+    pull = k_c * np.sum(np.where(bound, end, 0.0), axis=1)
+    place = (pull + series * flowed) / (ground.long + series + k_c * bound.sum(axis=1))
+    return place, (flowed + give * place) / (1.0 + give)

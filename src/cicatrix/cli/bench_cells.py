@@ -86,7 +86,9 @@ def _scipy() -> Measurement:
             solve_ivp(lambda t, phi, k=k_off: 0.01 * (1.0 - phi) - k * phi, (0.0, HORIZON), [0.0], method="LSODA")
 
     seconds = best_of(loop, 3, time.process_time)
-    return Measurement("SciPy's solve_ivp to the steady state", 1e9 * seconds / FEW, "ns", "a point, the rate given; LSODA")
+    return Measurement(
+        "SciPy's solve_ivp to the steady state", 1e9 * seconds / FEW, "ns", "a point, the rate given; LSODA"
+    )
 
 
 def _stepped() -> Measurement:

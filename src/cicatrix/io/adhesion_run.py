@@ -85,9 +85,7 @@ class AdhesionRun:
         return f"{words[self.case.method.type]} went through {follower.times[-1]:.6g} s."
 
 
-def _rows(
-    row: int, at: float, stretch: np.ndarray, told: Bonds, traction: np.ndarray
-) -> list[Mapping[str, Any]]:
+def _rows(row: int, at: float, stretch: np.ndarray, told: Bonds, traction: np.ndarray) -> list[Mapping[str, Any]]:
     return [
         {
             "step": row,

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import jax
 import numpy as np
+from jax import Array
 
 from ..biology.adhesion import Adhesion, anchored
 from ..biology.bond import Bell, Bond, CatchBond
 from ..biology.clutch import Ground, MotorClutch, ground_of
 from ..biology.contraction import ConstantForce, Contraction, Feedback
-from ..biology.substrate import Column, ExponentialFibre, LinearSubstrate, Substrate
+from ..biology.substrate import Column, ExponentialFibre, LinearSubstrate, Pull, Substrate
 from ..biology.viscoelastic_substrate import StandardLinearSolid
 from ..core.errors import ConvergenceError, InputError
 from ..core.units import inner_per_typed
@@ -37,7 +39,9 @@ def adhesion_of(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
     contraction, notes = contraction_of(case.cell), list[str]()
     if case.substrate.type in LAW_SUBSTRATES:
         substrate, error = _tissue(case, contraction)
-        notes = [f"The substrate's law was tabulated in uniaxial tension; error of the table {error:.1g} of its largest stress."]
+        notes = [
+            f"The substrate's law was tabulated in uniaxial tension; error of the table {error:.1g} of its largest stress."
+        ]
     else:
         substrate = _simple(case)
     law = Adhesion(bond_of(case.bond), substrate, contraction, case.cell.integrins_per_um2, case.bond.energy)
@@ -49,9 +53,7 @@ def bond_of(table: BondTable) -> Bond:
     """Make the bond that a table names."""
     catch = table.catch
     if catch is not None:
-        return CatchBond(
-            table.k_on_per_s, catch.k_catch_per_s, catch.k_slip_per_s, catch.f_catch_pN, catch.f_slip_pN
-        )
+        return CatchBond(table.k_on_per_s, catch.k_catch_per_s, catch.k_slip_per_s, catch.f_catch_pN, catch.f_slip_pN)
     return Bell(table.k_on_per_s, table.k_off_per_s, table.kT_pN_um)
 
 
@@ -113,12 +115,12 @@ def _tissue(case: AdhesionCase, contraction: Contraction) -> tuple[Column, float
     for _ in range(MOST_TABLES):
         curve, error = tension.table(low, high)
         column = Column(curve, table.area_um2, table.length_um)
-        k = np.asarray(column.stiffness(stretch))
+        pull = _pulled(column, contraction, stretch)
+        k = np.asarray(pull.stiffness)
         _check_stiffness(k, table.stretch)
         contraction.check(k)
-        force = np.asarray(contraction.force(k))
-        needed = float(np.max(stretch + force / (k * table.length_um)))
-        pulled = stretch + np.asarray(column.pulled(contraction, stretch, 0.0).displacement) / table.length_um
+        needed = float(np.max(stretch + np.asarray(pull.force) / (k * table.length_um)))
+        pulled = stretch + np.asarray(pull.displacement) / table.length_um
         if np.all(pulled <= high):
             if error > TABLE_ERROR:
                 raise ConvergenceError(
@@ -131,11 +133,16 @@ def _tissue(case: AdhesionCase, contraction: Contraction) -> tuple[Column, float
     )
 
 
+@jax.jit
+def _pulled(column: Column, contraction: Contraction, stretch: Array) -> Pull:
+    return column.pulled(contraction, stretch, 0.0)
+
+
 def _check(law: Adhesion, stretch: tuple[float, ...]) -> None:
     """Refuse what does not hold, before any time is spent."""
     substrate = law.substrate
     if isinstance(substrate, Column):
-        k = np.asarray(substrate.stiffness(np.array(stretch)))
+        k = np.asarray(_pulled(substrate, law.contraction, np.array(stretch)).stiffness)
         _check_stiffness(k, stretch)
         law.contraction.check(k)
     elif isinstance(substrate, LinearSubstrate):

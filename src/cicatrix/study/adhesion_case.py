@@ -158,7 +158,9 @@ class CellTable(Table):
     def _pulls_in_one_manner(self) -> CellTable:
         given = [key for key in ("force_pN", "feedback", "clutch") if getattr(self, key) is not None]
         if len(given) != 1:
-            raise fault("force_pN", f"or feedback or clutch must be given, one of them; got {', '.join(given) or 'none'}")
+            raise fault(
+                "force_pN", f"or feedback or clutch must be given, one of them; got {', '.join(given) or 'none'}"
+            )
         return self
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -30,24 +30,6 @@ class Bonds(NamedTuple):
     """Its standard deviation between cells [1]; 0 of the mean field."""
     force: np.ndarray
     """Of one closed bond, in the mean [pN]."""
-
-
-class Follower(Protocol):
-    """Leads the bonds of a case from row to row; what it leads is an array."""
-
-    times: np.ndarray
-
-    def start(self) -> np.ndarray:
-        """The bonds at row 0."""
-        ...
-
-    def onward(self, bound: np.ndarray, row: int) -> np.ndarray:
-        """The bonds at a row, from those at the row before."""
-        ...
-
-    def told(self, bound: np.ndarray, row: int) -> Bonds:
-        """What a row says of them."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -236,6 +218,9 @@ def _rates(law: Adhesion, stretch: np.ndarray, time: np.ndarray) -> np.ndarray:
     room = 1 << max(n - 1, 1023).bit_length()
     padded = [np.concatenate([values.ravel(), np.ones(room - n)]) for values in (stretch, time)]
     return np.asarray(anchored(law, *padded).k_off)[:n].reshape(stretch.shape)
+
+
+Follower = MeanField | Sampled | Clutched  # leads an array from row to row: start, onward, told, times
 
 
 def follower_of(case: AdhesionCase, law: Adhesion) -> Follower:

@@ -57,9 +57,11 @@ def mean_course(case: AdhesionCase, law: Adhesion) -> tuple[np.ndarray, np.ndarr
 def _clutched(case: AdhesionCase, law: Adhesion, history: Mapping[str, np.ndarray]) -> dict[str, Told]:
     """Means of the second half of the rows: motors and clutches have no closed form."""
     stretch, given = np.array(case.substrate.stretch), case.cell.clutch
-    late = {name: values.reshape(-1, len(stretch))[len(values) // len(stretch) // 2 :] for name, values in history.items()}
+    late = {
+        name: values.reshape(-1, len(stretch))[len(values) // len(stretch) // 2 :] for name, values in history.items()
+    }
     bound, traction = late["bound_fraction"].mean(axis=0), late["traction_kPa"].mean(axis=0)
-    total = (late["force_pN"] * late["bound_fraction"]).mean(axis=0) * case.method.n_integrins
+    total = (late["force_pN"] * late["bound_fraction"]).mean(axis=0) * (case.method.n_integrins or 0)
     flow = given.velocity_um_per_s * (1.0 - total / (given.motors * given.motor_force_pN))
     ground, when = ground_under(law, stretch), "mean over cells and the second half of the rows"
     told: dict[str, Told] = {
