@@ -57,6 +57,7 @@ def mean_course(case: AdhesionCase, law: Adhesion) -> tuple[np.ndarray, np.ndarr
 def _clutched(case: AdhesionCase, law: Adhesion, history: Mapping[str, np.ndarray]) -> dict[str, Told]:
     """Means of the second half of the rows: motors and clutches have no closed form."""
     stretch, given = np.array(case.substrate.stretch), case.cell.clutch
+    assert given is not None
     late = {
         name: values.reshape(-1, len(stretch))[len(values) // len(stretch) // 2 :] for name, values in history.items()
     }
