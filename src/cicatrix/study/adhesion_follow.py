@@ -215,7 +215,7 @@ def steps_of_rows(case: AdhesionCase) -> np.ndarray:
 def _rates(law: Adhesion, stretch: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Rate of opening at points of any number (...) [1/s]: filled up to a power of two, so that few shapes are compiled."""
     n = stretch.size
-    room = 1 << max(n - 1, 1023).bit_length()
+    room = 1 << max(n - 1, 2**15 - 1).bit_length()
     padded = [np.concatenate([values.ravel(), np.ones(room - n)]) for values in (stretch, time)]
     return np.asarray(anchored(law, *padded).k_off)[:n].reshape(stretch.shape)
 

@@ -108,7 +108,11 @@ def _sampled(case: AdhesionCase, law: Adhesion, at: Anchorage, history: Mapping[
     late = bound[len(bound) // 2 :]
     told: dict[str, Told] = {
         "sampled_bound_fraction": (late.mean(axis=0).tolist(), "1", "mean over cells and the second half of the rows"),
-        "bonds": (case.method.n_integrins * case.n_cells * n, "1", f"{case.n_cells} cells on each of {n} stretches"),
+        "bonds": (
+            (case.method.n_integrins or 0) * case.n_cells * n,
+            "1",
+            f"{case.n_cells} cells on each of {n} stretches",
+        ),
     }
     if case.method.dt_s is not None:
         on, off = law.chances(case.method.dt_s, at.k_off)
