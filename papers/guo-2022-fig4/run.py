@@ -22,7 +22,10 @@ from cicatrix.study.adhesion_summary import mean_course
 
 HERE = Path(__file__).parent
 FEEDBACK, HELD = "#0072b2", "#d55e00"
-COLLAGEN = "{type='exponential-fibre', k1_MPa=0.0703966587326, k2=20.81811370546901, area_um2=0.017, length_um=0.1, stretch=[1.0, 1.1]}"
+COLLAGEN = (
+    "{type='exponential-fibre', k1_MPa=0.0703966587326, k2=20.81811370546901, area_um2=0.017, length_um=0.1, "
+    "stretch=[1.0, 1.1]}"
+)
 
 
 def curves(law: Adhesion, stretch: np.ndarray) -> dict[str, np.ndarray]:

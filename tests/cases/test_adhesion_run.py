@@ -3,13 +3,17 @@
 import json
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 import cicatrix
+from cicatrix.biology.adhesion import anchored
 from cicatrix.cli.main import main
 from cicatrix.core.errors import ConvergenceError
+from cicatrix.io import adhesion_run
 from cicatrix.io.cases import check_case, load_case
 from cicatrix.io.progress import Progress
 from cicatrix.materials.neo_hookean import NeoHookean
@@ -48,6 +52,13 @@ def case_file(tmp_path):
     return path
 
 
+@pytest.fixture
+def no_pictures(monkeypatch):
+    """They take longer than the bonds."""
+    for name in ("course_figure", "stretch_figure"):
+        monkeypatch.setattr(adhesion_run, name, lambda *_: Figure())
+
+
 def test_mean_field(case_file, tmp_path):
     """By hand: k_off = 0.012 exp(49 / 2e4 / kT), phi = phi* (1 - exp(-(k_on + k_off) t)), t_a = f phi rho."""
     results = cicatrix.simulate(load_case(case_file), tmp_path / "run")
@@ -68,7 +79,7 @@ def test_mean_field(case_file, tmp_path):
 
 
 @pytest.mark.parametrize("settings", [STEPS, EXACT], ids=["steps", "exact"])
-def test_samples_are_about_their_mean(settings, case_file):
+def test_samples_are_about_their_mean(settings, case_file, no_pictures):
     """Within 4 sigma of the fixed point, and as far apart as independent bonds are; of stored energy, too."""
     settings = [*settings, "bond.energy=stored", "method.start_bound_fraction=0.25"]
     results = cicatrix.simulate(load_case(case_file, settings))
@@ -82,8 +93,8 @@ def test_samples_are_about_their_mean(settings, case_file):
     assert ("step_fixed_point" in outcome) == (settings[4] == "method.type=monte-carlo")
 
 
-@pytest.mark.parametrize("settings", [STEPS, EXACT], ids=["steps", "exact"])
-def test_samples_follow_a_substrate_that_yields(settings, case_file):
+@pytest.mark.parametrize("settings", [pytest.param(STEPS, marks=pytest.mark.slow), EXACT], ids=["steps", "exact"])
+def test_samples_follow_a_substrate_that_yields(settings, case_file, no_pictures):
     """The mean field's own course is that of SciPy to 1e-7 in another test."""
     sampled = cicatrix.simulate(load_case(case_file, [*settings, SOLID])).history
     mean = cicatrix.simulate(load_case(case_file, [*SAMPLED[2:], SOLID])).history
@@ -92,7 +103,7 @@ def test_samples_follow_a_substrate_that_yields(settings, case_file):
     assert (np.abs(sampled["bound_fraction"] - phi) <= 4 * np.sqrt(phi * (1 - phi) / 16000) + 1e-12).all()
 
 
-def test_mean_field_on_a_substrate_that_yields(case_file):
+def test_mean_field_on_a_substrate_that_yields(case_file, no_pictures):
     case = load_case(case_file, [SOLID, "method.duration_s=300.0"])
     law, _ = adhesion_of(case)
     tau = 1e6 * (1 / 8e3 + 1 / 8e4)
@@ -103,7 +114,7 @@ def test_mean_field_on_a_substrate_that_yields(case_file):
 
     theirs = solve_ivp(rate, (0.0, 300.0), [0.0], rtol=1e-10, atol=1e-12, t_eval=np.linspace(0, 300, 5)).y[0]
     np.testing.assert_allclose(cicatrix.simulate(case).history["bound_fraction"], theirs, atol=1e-7)
-    assert float(law.rate(0.3, 1.0, 50.0)) == pytest.approx(rate(50.0, 0.3), rel=1e-10)
+    assert float(jax.jit(law.rate)(0.3, 1.0, 50.0)) == pytest.approx(rate(50.0, 0.3), rel=1e-10)
 
 
 class Stopper(Progress):
@@ -119,7 +130,10 @@ class Stopper(Progress):
             raise KeyboardInterrupt
 
 
-@pytest.mark.parametrize("settings", [STEPS, EXACT, [SOLID]], ids=["steps", "exact", "mean"])
+MEAN = pytest.param([SOLID], marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("settings", [STEPS, EXACT, MEAN], ids=["steps", "exact", "mean"])
 def test_stopped_and_resumed_is_uninterrupted(settings, case_file, tmp_path):
     case = load_case(case_file, settings)
     cicatrix.simulate(case, tmp_path / "straight")
@@ -131,7 +145,7 @@ def test_stopped_and_resumed_is_uninterrupted(settings, case_file, tmp_path):
         assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes()
 
 
-def test_threads_do_not_matter(case_file, monkeypatch):
+def test_threads_do_not_matter(case_file, monkeypatch, no_pictures):
     histories = []
     for threads in ("1", "2"):
         monkeypatch.setenv("CICATRIX_THREADS", threads)
@@ -149,7 +163,7 @@ def test_tissue_as_substrate(case_file):
     case = load_case(case_file, [NEO, "cell.force_pN=7.0"])
     law, notes = adhesion_of(case)
     assert "tabulated in uniaxial tension" in notes[0]
-    at = law.anchored(np.array([1.0, 1.3]))
+    at = anchored(law, np.array([1.0, 1.3]))
     mu = 1e4  # pN/um^2
     np.testing.assert_allclose(at.stiffness, 0.17 * mu * np.array([3.0, 1 + 2 / 1.3**3]), rtol=1e-7)
     way = np.asarray(at.energy) / 7.0 / 0.1
@@ -158,7 +172,7 @@ def test_tissue_as_substrate(case_file):
     same = load_case(
         case_file, ["substrate={type='law', area_um2=0.017, length_um=0.1, stretch=[1.0, 1.3]}", *two(5.0)]
     )
-    np.testing.assert_allclose(adhesion_of(same)[0].anchored(np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
+    np.testing.assert_allclose(anchored(adhesion_of(same)[0], np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
 
 
 def two(mu):
@@ -201,8 +215,12 @@ FAULTS = {
         "bond.k_off_per_s and catch exclude each other: catch has rates of its own",
     ),
     "energy": (["bond.energy=both"], 'bond.energy must be "work" or "stored"; got "both"'),
-    "both forces": ([FEEDBACK, "cell.force_pN=1.0"], "cell.force_pN and feedback exclude each other: one of the two"),
-    "no force": (["cell={}"], "cell.force_pN or feedback must be given: one of the two"),
+    "both forces": (
+        [FEEDBACK, "cell.force_pN=1.0"],
+        "cell.force_pN or feedback or clutch must be given, one of them; got force_pN, feedback",
+    ),
+    "no force": (["cell={}"], "cell.force_pN or feedback or clutch must be given, one of them; got none"),
+    "clutches of the mean": (["cell={clutch={}}"], 'method.type must be "monte-carlo" for cell.clutch; got "ode"'),
     "no stretch": (["substrate.stretch=[]"], "substrate.stretch must be a list of one number at least"),
     "stretch 0": (["substrate.stretch=[0.0]"], "substrate.stretch[0] must be above 0; got 0.0"),
     "near key": (
@@ -270,9 +288,33 @@ def test_what_does_not_hold_is_told(name, case_file, tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
-def test_outcome_is_plain(case_file, tmp_path):
+def test_outcome_is_plain(case_file, tmp_path, no_pictures):
     cicatrix.simulate(load_case(case_file, STEPS), tmp_path / "run")
     outcome = json.loads((tmp_path / "run" / "outcome.json").read_text())
     assert outcome["bonds"]["value"] == 32_000
     assert outcome["steps"]["value"] == 600
     assert all(set(asked) == {"value", "unit", "note"} for asked in outcome.values())
+
+
+def test_motors_and_clutches(case_file, tmp_path, no_pictures):
+    """Bonds that never open stall 50 motors of 2 pN: 100 pN on 40 clutches is 2.5 pN each and 1 kPa at 400 per um^2."""
+    settings = ["cell={clutch={}}", "bond.k_off_per_s=1e-12", "method.start_bound_fraction=1.0", *STEPS[2:]]
+    settings += ["cell.clutch.bond_force_pN=1e3", "method.n_integrins=40", "method.n_cells=2"]
+    case = load_case(case_file, settings)
+    straight = cicatrix.simulate(case, tmp_path / "straight")
+    assert straight.outcome["cell_force_pN"].value == pytest.approx([100.0, 100.0], rel=1e-6)
+    assert straight.outcome["flow_um_per_s"].value == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert straight.history["force_pN"][-1] == pytest.approx(2.5, rel=1e-6)
+    assert straight.history["traction_kPa"][-1] == pytest.approx(1.0, rel=1e-6)
+    with pytest.raises(KeyboardInterrupt):
+        cicatrix.simulate(case, tmp_path / "stopped", progress=Stopper(2))
+    cicatrix.simulate(case, tmp_path / "stopped", resume=True)
+    assert (tmp_path / "stopped" / "history.csv").read_bytes() == (tmp_path / "straight" / "history.csv").read_bytes()
+
+
+def test_cluster_of_a_case(case_file, no_pictures):
+    """Two bonds that share 14 pN on springs of their own, by hand: 1/r_2 + (1 + g_1 / r_2) / r_1."""
+    results = cicatrix.simulate(load_case(case_file, ["cluster={bonds=2}"]))
+    r2, r1 = 2 * 0.012 * np.exp(49 / 2e4 / KT), 0.012 * np.exp(14**2 / 2e4 / KT)
+    by_hand = 1 / r2 + (1 + 0.01 / r2) / r1
+    assert results.outcome["cluster_lifetime_s"].value == pytest.approx([by_hand, by_hand], rel=1e-10)

@@ -42,6 +42,7 @@ def test_viscous_fibres_come_out_with_fewer_of_them_too():
     assert all(holds for _, _, holds in rows), rows
 
 
+@pytest.mark.slow
 def test_adhesion_comes_out_with_fewer_bonds_too():
     paper = script("guo-2022-fig4")
     with (PAPERS / "guo-2022-fig4" / "expected.csv").open() as file:

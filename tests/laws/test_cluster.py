@@ -72,7 +72,9 @@ def test_derivative_by_force(slope):
 
 def test_shared_is_the_cluster_of_bell_bonds():
     """k_off0 exp(F / f_b) with f_b = 4 pN: times of 1 / k_off0, forces of f_b."""
-    found = shared(6, np.array([1.0, 3.0]), lambda force: 0.02 * np.e ** (force / 4.0), 0.03, True)
+    found = jax.jit(lambda f: shared(6, f, lambda force: 0.02 * np.e ** (force / 4.0), 0.03, True))(
+        np.array([1.0, 3.0])
+    )
     law = ForceSharing(1.5)
     np.testing.assert_allclose(found, law.lifetime(6, np.array([6.0, 18.0]) / 4.0) / 0.02, rtol=1e-12)
     alone = shared(6, np.array(0.0), lambda force: 0.02 + 0.0 * force, 0.03, False)

@@ -92,7 +92,7 @@ class Adhesion(Law):
         return -jnp.expm1(-dt * self.bond.k_on) + jnp.zeros_like(k_off), -jnp.expm1(-dt * k_off)
 
     def most_k_off(self, stretch: Array, start: float, end: float) -> Array:
-        """Bound from above of the rate of opening on a substrate that yields, between two times [s]: stretch (...) -> (...) [1/s].
+        """Upper bound of the rate of opening on a substrate that yields between two times [s]: stretch (...) -> (...) [1/s].
 
         Force falls, displacement rises, what is stored is half of their product at most; a catch bond's rate is convex in force.
         """

@@ -100,12 +100,12 @@ class TabulatedCurve(Law):
 
     Parameters
     ----------
-    low, high : float [1]
-        First and last stretch.
     stresses : (n,) array [pN/um^2]
         First Piola-Kirchhoff stress at n equally spaced stretches.
     slopes : (n,) array [pN/um^2]
         Its derivatives there.
+    low, high : float [1]
+        First and last stretch.
 
     Raises
     ------
@@ -113,10 +113,10 @@ class TabulatedCurve(Law):
         If there are less than two stretches, or slopes that are not of as many.
     """
 
-    low: float = param("1", "lambda_1", low=0.0)
-    high: float = param("1", "lambda_n", low=0.0)
     stresses: Array = eqx.field(converter=jnp.asarray)
     slopes: Array = eqx.field(converter=jnp.asarray)
+    low: float = param("1", "lambda_1", low=0.0)
+    high: float = param("1", "lambda_n", low=0.0)
 
     def __check_init__(self):
         super().__check_init__()

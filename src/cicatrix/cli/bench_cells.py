@@ -1,7 +1,6 @@
 """The benchmark of cells: adhesion at many substrates, single bonds at random, and what SciPy takes for the same.
 
-Seconds are those of the processor on one core. What is measured of signalling networks is in a module of its own, and listed
-in ``PARTS``.
+Seconds are those of the processor on one core. Signalling networks are measured in ``bench_networks``.
 """
 
 from __future__ import annotations
@@ -111,8 +110,5 @@ def _exact() -> Measurement:
     return Measurement("exact times", 0.01 * HORIZON * bound.size / seconds * 1e-6, "M/s", "events, NumPy")
 
 
-PARTS: tuple[Callable[[], list[Measurement]], ...] = (adhesion,)  # each gives rows
-
-
 if __name__ == "__main__":
-    print(json.dumps([row for part in PARTS for row in part()]))
+    print(json.dumps(adhesion()))

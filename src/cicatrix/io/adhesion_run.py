@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..biology.adhesion import Adhesion, anchored
+from ..biology.adhesion import Adhesion
 from ..core.errors import ConvergenceError
 from ..study.adhesion import adhesion_of
 from ..study.adhesion_case import AdhesionCase
-from ..study.adhesion_follow import Bonds, Follower, MeanField, follower_of
+from ..study.adhesion_follow import Bonds, Follower, Sampled, follower_of
 from ..study.adhesion_summary import mean_course, summary
 from .figures_adhesion import course_figure, stretch_figure
 from .progress import Progress
@@ -69,16 +69,15 @@ class AdhesionRun:
 
     def _record(self, law: Adhesion, follower: Follower, row: int, bound: np.ndarray) -> None:
         stretch = np.array(self.case.substrate.stretch)
-        told = follower.told(bound)
-        force = np.asarray(anchored(law, stretch, follower.times[row]).force)
-        for cells in _rows(row, follower.times[row], stretch, told, force, np.asarray(law.traction(force, told.mean))):
+        told = follower.told(bound, row)
+        for cells in _rows(row, follower.times[row], stretch, told, np.asarray(law.traction(told.force, told.mean))):
             self.folder.record(cells)
 
     def _tell(self, law: Adhesion, follower: Follower) -> str:
         history = self.folder.history()
         numbers = summary(self.case, law, history)
         self.folder.write_outcome({name: Quantity(*told) for name, told in numbers.items()})
-        mean = None if isinstance(follower, MeanField) else mean_course(self.case, law)
+        mean = mean_course(self.case, law) if isinstance(follower, Sampled) else None
         self.folder.save_figure("course", course_figure(history, mean))
         if len(self.case.substrate.stretch) > 1:
             self.folder.save_figure("stretch", stretch_figure({name: told[0] for name, told in numbers.items()}))
@@ -86,9 +85,7 @@ class AdhesionRun:
         return f"{words[self.case.method.type]} went through {follower.times[-1]:.6g} s."
 
 
-def _rows(
-    row: int, at: float, stretch: np.ndarray, told: Bonds, force: np.ndarray, traction: np.ndarray
-) -> list[Mapping[str, Any]]:
+def _rows(row: int, at: float, stretch: np.ndarray, told: Bonds, traction: np.ndarray) -> list[Mapping[str, Any]]:
     return [
         {
             "step": row,
@@ -96,7 +93,7 @@ def _rows(
             "stretch": float(stretch[i]),
             "bound_fraction": float(told.mean[i]),
             "bound_fraction_sd": float(told.sd[i]),
-            "force_pN": float(force[i]),
+            "force_pN": float(told.force[i]),
             "traction_kPa": float(traction[i]),
         }
         for i in range(len(stretch))

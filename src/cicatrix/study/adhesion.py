@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from types import SimpleNamespace
 
+import jax
 import numpy as np
+from jax import Array
 
 from ..biology.adhesion import Adhesion, anchored
 from ..biology.bond import Bell, Bond, CatchBond
+from ..biology.clutch import Ground, MotorClutch, ground_of
 from ..biology.contraction import ConstantForce, Contraction, Feedback
-from ..biology.substrate import Column, ExponentialFibre, LinearSubstrate, Substrate
+from ..biology.substrate import Column, ExponentialFibre, LinearSubstrate, Pull, Substrate
 from ..biology.viscoelastic_substrate import StandardLinearSolid
 from ..core.errors import ConvergenceError, InputError
 from ..core.units import inner_per_typed
@@ -57,9 +60,28 @@ def bond_of(table: BondTable) -> Bond:
 def contraction_of(table: CellTable) -> Contraction:
     """Make the contraction that a table names."""
     if table.feedback is None:
-        return ConstantForce(table.force_pN)
+        return ConstantForce(table.force_pN or 0.0)  # clutches bring their own
     given = table.feedback
     return Feedback(given.f0_pN, given.beta, given.k_a_pN_um, given.k_N_pN_um)
+
+
+def clutch_of(case: AdhesionCase) -> MotorClutch | None:
+    """Make the motors and clutches that a case names."""
+    given = case.cell.clutch
+    if given is None:
+        return None
+    reach = case.bond.kT_pN_um / given.bond_force_pN
+    return MotorClutch(
+        bond_of(case.bond), given.stiffness_pN_um, reach, given.motors, given.motor_force_pN, given.velocity_um_per_s
+    )
+
+
+def ground_under(law: Adhesion, stretch: np.ndarray) -> Ground:
+    """What clutches pull at together at stretches (g,): the substrate's tangent stiffness, or its springs and dashpot."""
+    substrate, each = law.substrate, np.ones_like(stretch)
+    if isinstance(substrate, StandardLinearSolid):
+        return Ground(substrate.K_long * each, substrate.K_added * each, substrate.viscosity * each)
+    return ground_of(np.asarray(anchored(law, stretch).stiffness))
 
 
 def yields(case: AdhesionCase) -> bool:
@@ -93,12 +115,12 @@ def _tissue(case: AdhesionCase, contraction: Contraction) -> tuple[Column, float
     for _ in range(MOST_TABLES):
         curve, error = tension.table(low, high)
         column = Column(curve, table.area_um2, table.length_um)
-        k = np.asarray(column.stiffness(stretch))
+        pull = _pulled(column, contraction, stretch)
+        k = np.asarray(pull.stiffness)
         _check_stiffness(k, table.stretch)
         contraction.check(k)
-        force = np.asarray(contraction.force(k))
-        needed = float(np.max(stretch + force / (k * table.length_um)))
-        pulled = stretch + np.asarray(column.pulled(contraction, stretch, 0.0).displacement) / table.length_um
+        needed = float(np.max(stretch + np.asarray(pull.force) / (k * table.length_um)))
+        pulled = stretch + np.asarray(pull.displacement) / table.length_um
         if np.all(pulled <= high):
             if error > TABLE_ERROR:
                 raise ConvergenceError(
@@ -111,11 +133,16 @@ def _tissue(case: AdhesionCase, contraction: Contraction) -> tuple[Column, float
     )
 
 
+@jax.jit
+def _pulled(column: Column, contraction: Contraction, stretch: Array) -> Pull:
+    return column.pulled(contraction, stretch, 0.0)
+
+
 def _check(law: Adhesion, stretch: tuple[float, ...]) -> None:
     """Refuse what does not hold, before any time is spent."""
     substrate = law.substrate
     if isinstance(substrate, Column):
-        k = np.asarray(substrate.stiffness(np.array(stretch)))
+        k = np.asarray(_pulled(substrate, law.contraction, np.array(stretch)).stiffness)
         _check_stiffness(k, stretch)
         law.contraction.check(k)
     elif isinstance(substrate, LinearSubstrate):

@@ -130,18 +130,31 @@ class FeedbackTable(Table):
     k_N_pN_um: Annotated[Number, limits(least=1e-12)]
 
 
+class ClutchTable(Table):
+    """Motors that draw actin over the bonds: :class:`..biology.clutch.MotorClutch`; defaults of Chan & Odde (2008)."""
+
+    motors: Positive = 50.0
+    motor_force_pN: Positive = 2.0
+    velocity_um_per_s: NotNegative = 0.12
+    stiffness_pN_um: Annotated[Number, limits(least=1e-12)] = 5000.0
+    bond_force_pN: Positive = 2.0  # that makes a bond open e times as fast
+
+
 class CellTable(Table):
     """How hard the cell pulls at a bond, and how many bonds it has."""
 
     force_pN: NotNegative | None = None
     feedback: FeedbackTable | None = None
+    clutch: ClutchTable | None = None
     integrins_per_um2: Annotated[Number, limits(above=0.0)] = 400.0
 
     @model_validator(mode="after")
     def _pulls_in_one_manner(self) -> CellTable:
-        if (self.force_pN is None) == (self.feedback is None):
-            words = "or feedback must be given" if self.feedback is None else "and feedback exclude each other"
-            raise fault("force_pN", f"{words}: one of the two")
+        given = [key for key in ("force_pN", "feedback", "clutch") if getattr(self, key) is not None]
+        if len(given) != 1:
+            raise fault(
+                "force_pN", f"or feedback or clutch must be given, one of them; got {', '.join(given) or 'none'}"
+            )
         return self
 
 
@@ -216,6 +229,14 @@ class AdhesionCase(Table):
             raise fault("law", 'must be at least one table [[law]] for substrate.type = "law", and none otherwise')
         if self.law:
             checked_law(self)
+        return self
+
+    @model_validator(mode="after")
+    def _clutches_are_stepped(self) -> AdhesionCase:
+        if self.cell.clutch is not None and self.method.type != "monte-carlo":
+            raise fault("method.type", f'must be "monte-carlo" for cell.clutch; got "{self.method.type}"')
+        if self.cell.clutch is not None and self.cluster is not None:
+            raise fault("cluster", "must be left out for cell.clutch, whose bonds share their load already")
         return self
 
     @model_validator(mode="after")

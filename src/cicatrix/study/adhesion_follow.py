@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 from ..biology.adhesion import Adhesion, after, anchored, carried
+from ..biology.clutch import Clutches, Ground, MotorClutch
 from ..biology.sampling import exact, monte_carlo
 from ..core.errors import ConvergenceError
-from .adhesion import yields
+from .adhesion import clutch_of, ground_under, yields
 from .adhesion_case import AdhesionCase
 
 UPDATES = 2**26  # of bonds between two looks at the keyboard
@@ -27,24 +28,8 @@ class Bonds(NamedTuple):
     """Bound fraction [1]."""
     sd: np.ndarray
     """Its standard deviation between cells [1]; 0 of the mean field."""
-
-
-class Follower(Protocol):
-    """Leads the bonds of a case from row to row; what it leads is an array."""
-
-    times: np.ndarray
-
-    def start(self) -> np.ndarray:
-        """The bonds at row 0."""
-        ...
-
-    def onward(self, bound: np.ndarray, row: int) -> np.ndarray:
-        """The bonds at a row, from those at the row before."""
-        ...
-
-    def told(self, bound: np.ndarray) -> Bonds:
-        """What a row says of them."""
-        ...
+    force: np.ndarray
+    """Of one closed bond, in the mean [pN]."""
 
 
 @dataclass(frozen=True)
@@ -87,9 +72,10 @@ class MeanField:
             f"The bound fraction changes too fast between {start:.6g} and {end:.6g} s; give more method.n_rows."
         )
 
-    def told(self, bound: np.ndarray) -> Bonds:
+    def told(self, bound: np.ndarray, row: int) -> Bonds:
         """The mean; no cell differs from another one."""
-        return Bonds(bound, np.zeros_like(bound))
+        force = anchored(self.law, self._stretch, self.times[row]).force
+        return Bonds(bound, np.zeros_like(bound), np.asarray(force))
 
 
 @dataclass(frozen=True)
@@ -101,10 +87,7 @@ class Sampled:
 
     @cached_property
     def _steps(self) -> np.ndarray:
-        """Number of the last fixed step before each row; rows of the exact times have none."""
-        method = self.case.method
-        n = round(method.duration_s / (method.dt_s or method.duration_s / method.n_rows))
-        return np.round(np.linspace(0, n, min(method.n_rows, n) + 1)).astype(int)
+        return steps_of_rows(self.case)
 
     @cached_property
     def times(self) -> np.ndarray:
@@ -133,10 +116,11 @@ class Sampled:
         """Bonds at the next row."""
         return self._by_steps(bound, row) if self.case.method.dt_s is not None else self._exactly(bound, row)
 
-    def told(self, bound: np.ndarray) -> Bonds:
+    def told(self, bound: np.ndarray, row: int) -> Bonds:
         """Mean and standard deviation over the cells of a stretch."""
         each = bound.mean(axis=1).reshape(-1, self.case.n_cells)
-        return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1))
+        force = anchored(self.law, np.array(self.case.substrate.stretch), self.times[row]).force
+        return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), np.asarray(force))
 
     def _by_steps(self, bound: np.ndarray, row: int) -> np.ndarray:
         first, last = self._steps[row - 1], self._steps[row]
@@ -170,14 +154,78 @@ class Sampled:
         return exact(bound, times, k_on, most, k_off, self.case.seed, row)
 
 
+@dataclass(frozen=True)
+class Clutched:
+    """Motors and clutches, in fixed steps: an array (s * cells, 2 n + 2) of closed or not, far ends, ground and dashpot."""
+
+    case: AdhesionCase
+    law: Adhesion
+    clutch: MotorClutch
+
+    @cached_property
+    def _steps(self) -> np.ndarray:
+        return steps_of_rows(self.case)
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Of the rows [s]: whole steps."""
+        return self._steps * self.case.method.dt_s
+
+    @cached_property
+    def _ground(self) -> Ground:
+        return ground_under(self.law, np.repeat(np.array(self.case.substrate.stretch), self.case.n_cells))
+
+    def start(self) -> np.ndarray:
+        """The first clutches of every cell closed, as many as come nearest to the fraction asked for."""
+        n, cells = self.case.method.n_integrins or 0, self.case.n_cells * len(self.case.substrate.stretch)
+        return _packed(self.clutch.start(cells, n, round(self.case.method.start_bound_fraction * n)))
+
+    def onward(self, bound: np.ndarray, row: int) -> np.ndarray:
+        """Clutches at the next row."""
+        now = _unpacked(bound)
+        for step in range(self._steps[row - 1], self._steps[row]):
+            now = self.clutch.advance(self._ground, now, self.case.method.dt_s or 0.0, self.case.seed, step)
+        return _packed(now)
+
+    def told(self, bound: np.ndarray, row: int) -> Bonds:
+        """Mean and standard deviation over the cells of a stretch; the force is shared by the closed ones."""
+        now = _unpacked(bound)
+        each = now.bound.mean(axis=1).reshape(-1, self.case.n_cells)
+        force = self.clutch.force(self._ground, now).reshape(each.shape).sum(axis=1)
+        closed = each.sum(axis=1) * now.bound.shape[1]
+        return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), force / np.maximum(closed, 1.0))
+
+
+def _packed(now: Clutches) -> np.ndarray:
+    return np.hstack([now.bound, now.end, now.ground[:, None], now.flowed[:, None]])
+
+
+def _unpacked(state: np.ndarray) -> Clutches:
+    n = state.shape[1] // 2 - 1
+    return Clutches(state[:, :n] > 0.5, state[:, n : 2 * n], state[:, -2], state[:, -1])
+
+
+def steps_of_rows(case: AdhesionCase) -> np.ndarray:
+    """Number of the last fixed step before each row."""
+    method = case.method
+    n = round(method.duration_s / (method.dt_s or method.duration_s / method.n_rows))
+    return np.round(np.linspace(0, n, min(method.n_rows, n) + 1)).astype(int)
+
+
 def _rates(law: Adhesion, stretch: np.ndarray, time: np.ndarray) -> np.ndarray:
     """Rate of opening at points of any number (...) [1/s]: filled up to a power of two, so that few shapes are compiled."""
     n = stretch.size
-    room = 1 << max(n - 1, 1023).bit_length()
+    room = 1 << max(n - 1, 2**15 - 1).bit_length()
     padded = [np.concatenate([values.ravel(), np.ones(room - n)]) for values in (stretch, time)]
     return np.asarray(anchored(law, *padded).k_off)[:n].reshape(stretch.shape)
 
 
+Follower = MeanField | Sampled | Clutched  # leads an array from row to row: start, onward, told, times
+
+
 def follower_of(case: AdhesionCase, law: Adhesion) -> Follower:
     """Choose what follows the bonds of a case."""
+    clutch = clutch_of(case)
+    if clutch is not None:
+        return Clutched(case, law, clutch)
     return MeanField(case, law) if case.method.type == "ode" else Sampled(case, law)

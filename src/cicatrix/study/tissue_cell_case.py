@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Annotated, Literal
 
+import jax
 from pydantic import Field, model_validator
 
 from ..biology.turnover import Turnover
@@ -123,7 +124,7 @@ class TissueCellCase(Table):
         if not self.law:
             raise fault("law", "must be at least one table [[law]]: the tissue's own")
         law = checked_law(self)
-        if not law.has_potential() or law.initial_state((1,)) != ():
+        if not law.has_potential() or jax.tree.leaves(law.initial_state((1,))):
             raise fault(
                 "law", "must be elastic: hours later its viscous parts have flown, and growth is that of the cells"
             )

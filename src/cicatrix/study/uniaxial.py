@@ -50,9 +50,9 @@ class Tension:
         """
         stretch = np.linspace(low, high, NODES)
         stress, slope = (pn_um2_from_kpa(values) for values in self.nominal(stretch))
-        coarse = TabulatedCurve(low, high, stress[::2], slope[::2]).stress(stretch)
+        coarse = TabulatedCurve(stress[::2], slope[::2], low, high).stress(stretch)
         error = float(np.max(np.abs(np.asarray(coarse) - stress)) / max(np.max(np.abs(stress)), 1e-300))
-        return TabulatedCurve(low, high, stress, slope), error
+        return TabulatedCurve(stress, slope, low, high), error
 
     def nominal(self, stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """First Piola-Kirchhoff stress and its slope [kPa] at stretches (n,); errors as of ``table``."""
