@@ -35,7 +35,7 @@ def each(path):
     return pytest.param(path, id=path.stem, marks=[pytest.mark.slow] * (path.stem in COMPILE_LONG))
 
 
-@pytest.mark.parametrize("path", map(each, EXAMPLES))
+@pytest.mark.parametrize("path", [each(path) for path in EXAMPLES])
 def test_the_example_runs(path, tmp_path):
     history = cicatrix.simulate(cicatrix.load_case(path, FEW), tmp_path / "run").history
     assert list(history) == COLUMNS.split()
