@@ -14,7 +14,7 @@ from cicatrix.core.errors import InputError
 PAPERS = Path(__file__).parents[2] / "papers"
 FIGURES = ["garbey-2013-fig2", "garbey-2013-fig5", "garbey-2013-fig6"]
 COARSE = ["image.voxel_mm=3.0", "healing.pitch_um=100", "mesh.edge_mm=6.0", "mesh.cavity_edge_mm=2.0"]
-POINTS = ["guo-2022-fig2", "guo-2022-fig3"]
+POINTS = ["guo-2022-fig2", "guo-2022-fig3", "guo-2022-fig4", "guo-2022-fig5"]
 FEWER = ["law.1.orientation.n_angles=12", "law.1.viscous.n_waviness=32", "loading.repeat=2"]
 
 
@@ -40,6 +40,16 @@ def test_viscous_fibres_come_out_with_fewer_of_them_too():
     paper = script("guo-2022-fig2")
     rows = paper.table(paper.measure([*FEWER, "solver.relative_tolerance=5e-3"]))
     assert all(holds for _, _, holds in rows), rows
+
+
+@pytest.mark.slow
+def test_adhesion_comes_out_with_fewer_bonds_too():
+    paper = script("guo-2022-fig4")
+    with (PAPERS / "guo-2022-fig4" / "expected.csv").open() as file:
+        expected = {row["claim"]: row["holds"] == "yes" for row in csv.DictReader(file)}
+    few = ["method.n_integrins=500", "method.n_cells=4", "method.n_rows=10", "method.dt_s=0.1"]
+    rows = paper.table(paper.measure([*few, "law.1.orientation.n_angles=12"]))
+    assert {claim: holds for claim, _, holds in rows} == expected, rows
 
 
 def test_the_level_set_teleports_and_paths_do_not():

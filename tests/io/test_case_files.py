@@ -51,6 +51,8 @@ max_weeks = 52
 """
 PHANTOM = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n'
 
+KINDS = '"lumpectomy", "automaton", "equilibrium", "material-point", "adhesion", "signalling" or "tissue-cell"'
+
 
 @pytest.fixture
 def write(tmp_path):
@@ -197,13 +199,13 @@ def test_every_fault_is_reported(write):
         ("kind = = 1\nx = 1", "is not valid TOML: .*line 1, column 8"),
         (
             "",
-            'kind is missing; a case file starts with kind = "lumpectomy", "automaton", "equilibrium" or "material-point"',
+            f"kind is missing; a case file starts with kind = {KINDS}",
         ),
         (
             'kind = "mastectomy"',
-            'kind must be "lumpectomy", "automaton", "equilibrium" or "material-point"; got "mastectomy"',
+            f'kind must be {KINDS}; got "mastectomy"',
         ),
-        ("kind = 3", 'kind must be "lumpectomy", "automaton", "equilibrium" or "material-point"; got 3'),
+        ("kind = 3", f"kind must be {KINDS}; got 3"),
     ],
 )
 def test_no_case_at_all(text, words, write):

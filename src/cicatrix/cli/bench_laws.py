@@ -6,12 +6,10 @@ Seconds are those of the processor on one core, so that what else a machine does
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 
 import jax
 import numpy as np
@@ -34,7 +32,7 @@ from ..materials.ogden import Ogden
 from ..materials.orientation import VonMises
 from ..materials.viscoelastic import Viscoelastic
 from ..materials.waviness import Uniform
-from .measurement import Measurement, best_of
+from .measurement import Measurement, best_of, one_core
 
 MANY, FEW = 1_000_000, 100_000  # points of a cheap law and of a costly one
 SIZE = 1000  # points at a time; divides both
@@ -71,7 +69,7 @@ NOTES = {
 
 def laws() -> list[Measurement]:
     """Nanoseconds per point for P and its tangent of every law, in a process of its own that has one core."""
-    with _one_core():
+    with one_core():
         done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True)
     if done.returncode:
         raise CicatrixError(f"the benchmark of laws ended with {done.stderr.strip().splitlines()[-1:]}")
@@ -166,20 +164,6 @@ def _jaxmat(F: np.ndarray) -> Measurement:
     return Measurement(
         name, ns / len(F), "ns", f"its energy, jacfwd, vmap; {len(F):g} points; {compiling:.1f} s to compile"
     )
-
-
-@contextmanager
-def _one_core() -> Iterator[None]:
-    """Hold this thread, and the processes that it starts, on one core where the system can."""
-    if not hasattr(os, "sched_setaffinity"):
-        yield
-        return
-    before = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {max(before)})
-    try:
-        yield
-    finally:
-        os.sched_setaffinity(0, before)
 
 
 if __name__ == "__main__":

@@ -70,10 +70,17 @@ def laws() -> list[Measurement]:
     return import_module(".bench_laws", __package__).laws()
 
 
+def cells() -> list[Measurement]:
+    """Adhesion at 10^6 substrates, bonds at random, and networks of 100 species, next to SciPy and libroadrunner."""
+    cells, networks = (import_module(name, __package__) for name in (".bench_cells", ".bench_networks"))
+    return [*cells.cells(), *networks.networks()]
+
+
 BENCHMARKS: dict[str, Callable[[], list[Measurement]]] = {
     "checkpoint": checkpoint,
     "road2d": road2d,
     "automaton": automaton,
     "mechanics": mechanics,
     "laws": laws,
+    "cells": cells,
 }

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import NamedTuple
 
 
@@ -24,3 +26,17 @@ def best_of(work: Callable[[], object], repeats: int = 5, clock: Callable[[], fl
         work()
         seconds.append(clock() - start)
     return min(seconds)
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Hold this thread, and the processes that it starts, on one core where the system can."""
+    if not hasattr(os, "sched_setaffinity"):
+        yield
+        return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {max(before)})
+    try:
+        yield
+    finally:
+        os.sched_setaffinity(0, before)

@@ -12,6 +12,8 @@ import numpy as np
 
 from .errors import InputError
 
+jax.config.update("jax_enable_x64", True)  # every law in double precision
+
 
 def param(
     unit: str,

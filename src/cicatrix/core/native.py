@@ -11,7 +11,7 @@ import os
 from importlib import import_module
 from types import ModuleType
 
-from . import philox, scatter
+from . import philox, scatter, switching
 from .errors import InputError
 
 MOST_THREADS = 256
@@ -34,6 +34,7 @@ philox4x32 = _kernels.philox4x32 if _kernels is not None else philox.philox4x32
 add_blocks = _kernels.add_blocks if _kernels is not None else scatter.add_blocks
 add_contracted = _kernels.add_contracted if _kernels is not None else scatter.add_contracted
 turn_blocks = _kernels.turn_blocks if _kernels is not None else scatter.turn_blocks
+switch_states = _kernels.switch_states if _kernels is not None else switching.switch_states
 
 
 class _NoFaultError(Exception):

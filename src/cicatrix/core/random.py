@@ -23,6 +23,10 @@ class Phase(IntEnum):
     PATH_COST = 3
     REDISTRIBUTION_TIE = 4
     SETTLE = 5
+    BOND = 6
+    BOND_WAIT = 7
+    CLUSTER = 8
+    CLUTCH = 9
 
 
 def site_words(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarray:

@@ -91,6 +91,16 @@ def ml_from_mm3(volume_mm3: Value) -> Value:
     return volume_mm3 * 1e-3
 
 
+def kpa_from_pn_um2(stress_pn_um2: Value) -> Value:
+    """Stress of the cell scale, which counts in pN, um and s: [pN/um2] -> [kPa]."""
+    return stress_pn_um2 * 1e-3
+
+
+def pn_um2_from_kpa(stress_kpa: Value) -> Value:
+    """Stress: [kPa] -> [pN/um2] of the cell scale."""
+    return stress_kpa * 1e3
+
+
 INNER_PER_TYPED = {  # (typed in a case file, inside a law): how much of the second one of the first is
     ("min", "s"): 60.0,
     ("h", "s"): 3600.0,
@@ -100,6 +110,7 @@ INNER_PER_TYPED = {  # (typed in a case file, inside a law): how much of the sec
     ("um", "mm"): 1e-3,
     ("Pa", "kPa"): 1e-3,
     ("MPa", "kPa"): 1e3,
+    ("MPa", "pN/um^2"): 1e6,
     ("deg", "rad"): math.pi / 180.0,
 }
 

@@ -7,34 +7,44 @@ import json
 import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
-from importlib import resources
+from importlib import import_module, resources
 from pathlib import Path
 from typing import Any, get_args
 
 from pydantic import ValidationError
 
 from ..core.errors import InputError
+from ..study.adhesion_case import AdhesionCase
 from ..study.automaton_case import AutomatonCase
 from ..study.case import LumpectomyCase, Table
 from ..study.equilibrium_case import EquilibriumCase
 from ..study.laws import tag_of
 from ..study.limits import FAULT, OUT_OF_RANGE
 from ..study.point_case import PointCase
+from ..study.signalling_case import SignallingCase
+from ..study.tissue_cell_case import TissueCellCase
 from .paths import input_path
 
-Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase
+Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase | AdhesionCase | SignallingCase | TissueCellCase
 KINDS: dict[str, type[Case]] = {
     "lumpectomy": LumpectomyCase,
     "automaton": AutomatonCase,
     "equilibrium": EquilibriumCase,
     "material-point": PointCase,
+    "adhesion": AdhesionCase,
+    "signalling": SignallingCase,
+    "tissue-cell": TissueCellCase,
 }
 FILES = {  # table and key of everything that names a file
     "lumpectomy": (("image", "path"), ("image", "labels")),
     "automaton": (("lattice", "fillable"), ("wound", "mask"), ("cue", "W")),
     "equilibrium": (("body", "mesh"),),
     "material-point": (),
+    "adhesion": (),
+    "tissue-cell": (("signal", "species"), ("signal", "reactions")),
+    "signalling": (("network", "species"), ("network", "reactions"), ("network", "sbml")),
 }
+CHECKS = {"signalling": (".networks", "faults_of")}  # of what a case's files hold, as far as that is soon done
 
 TYPE_WORDS = {
     "float_type": "must be a number",
@@ -83,7 +93,11 @@ def demo_case() -> LumpectomyCase:
 
 def check_case(path: str | Path, overrides: Sequence[str] = ()) -> list[str]:
     """Return every fault of a case file, one sentence each; an empty list means that it is sound."""
-    return _examine(Path(path), overrides)[1]
+    case, faults = _examine(Path(path), overrides)
+    if case is not None and case.kind in CHECKS:
+        module, name = CHECKS[case.kind]
+        return getattr(import_module(module, __package__), name)(case)
+    return faults
 
 
 def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
@@ -118,14 +132,14 @@ def case_table(case: Case) -> dict[str, Any]:
     """
     table = case.model_dump(mode="python")
     for name, key in FILES[case.kind]:
-        if isinstance(table[name][key], Path):
+        if isinstance(table[name].get(key), Path):
             table[name][key] = table[name][key].name
     return json.loads(json.dumps(table))
 
 
 def input_files(case: Case) -> dict[str, Path]:
     """Return the files and folders that a case reads, by key."""
-    found = {f"{name}.{key}": getattr(getattr(case, name), key) for name, key in FILES[case.kind]}
+    found = {f"{name}.{key}": getattr(getattr(case, name), key, None) for name, key in FILES[case.kind]}
     return {key: path for key, path in found.items() if isinstance(path, Path)}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -89,6 +89,15 @@ def read_history(path: Path) -> dict[str, np.ndarray]:
     columns = next(reader, [])
     rows = list(reader)
     return {name: _array([row[i] for row in rows]) for i, name in enumerate(columns)}
+
+
+def table_text(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+    """A table as CSV: floats are written so that they read back exactly."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(head)
+    writer.writerows([_text(cell) for cell in row] for row in rows)
+    return stream.getvalue()
 
 
 def _array(cells: list[str]) -> np.ndarray:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -21,17 +21,17 @@ from ..core.errors import ConvergenceError, InputError
 from ..geometry.transfer import QUARTERS
 from ..geometry.volume import Volume
 from . import checkpoints
-from .atomic import replacing, write_json
+from .atomic import replacing, write_bytes, write_json
 from .checkpoints import Checkpoint
 from .fields import Frame, read_series, write_series, write_vtu
 from .folders import holds_something, lock, make, remove, sweep, unlock
-from .history import History, read_history
+from .history import History, read_history, table_text
 from .images import write_volume
 from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
 from .progress import Progress
 from .surfaces import write_stl
 
-PRODUCTS = ("checkpoint", "outcome.json", "history.csv", "fields", "surfaces", "figures", "labels.nii.gz")
+PRODUCTS = ("checkpoint", "outcome.json", "history.csv", "fields", "surfaces", "figures", "tables", "labels.nii.gz")
 
 
 @dataclass(frozen=True)
@@ -221,6 +221,10 @@ class RunFolder:
         with replacing(path) as temporary:
             figure.savefig(temporary, dpi=dpi, format="png", metadata={"Software": None})
         return path
+
+    def write_table(self, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Write ``tables/NAME.csv``: column names, then rows of texts and plain numbers; floats read back exactly."""
+        write_bytes(self.path / "tables" / f"{name}.csv", table_text(head, rows).encode())
 
     def save_labels(self, labels: Volume) -> Path:
         """Write the label map that the run is built on; corrected by hand, it can be a case's ``image.labels``."""

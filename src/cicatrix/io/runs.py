@@ -20,6 +20,9 @@ RUNS = {
     "automaton": (".automaton_run", "AutomatonRun"),
     "equilibrium": (".equilibrium_run", "EquilibriumRun"),
     "material-point": (".point_run", "PointRun"),
+    "adhesion": (".adhesion_run", "AdhesionRun"),
+    "signalling": (".signalling_run", "SignallingRun"),
+    "tissue-cell": (".tissue_cell_run", "TissueCellRun"),
 }
 FOLLOWERS = {  # what the other ranks of several do
     "automaton": (".automaton_run", "follow"),
@@ -34,7 +37,7 @@ def simulate(
 
     Parameters
     ----------
-    case : LumpectomyCase, AutomatonCase, EquilibriumCase or PointCase
+    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase, AdhesionCase, SignallingCase or TissueCellCase
         What to run.
     out : str or Path, optional
         The run's folder; without it nothing is kept on disk.

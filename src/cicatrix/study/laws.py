@@ -120,20 +120,31 @@ def union_of(laws: Mapping[str, type[Law]]) -> Any:
     return whole
 
 
+def table_of(law: type[Law]) -> Any:
+    """Table of a case file with a law's parameters."""
+    made: list[type[LawTable]] = []
+    return _table(law, None, made)
+
+
 def tag_of(name: str) -> str:
     """Mark the name of a law where pydantic puts it between the keys of an error's place."""
     return f"<{name}>"
 
 
-def _either(laws: Mapping[str, type[Law]], made: list[type[LawTable]]) -> Any:
-    """Union of the laws' tables, told apart by ``type``; what is made goes to the end of a list."""
+def one_of(tables: Mapping[str, type[Table]]) -> Any:
+    """Annotation of a table that is one of several, told apart by ``type``."""
 
     def named(value: Any) -> str:
         return tag_of(str(value.get("type") if isinstance(value, Mapping) else getattr(value, "type", None)))
 
-    tagged = [Annotated[_table(law, name, made), Tag(tag_of(name))] for name, law in laws.items()]
+    tagged = [Annotated[table, Tag(tag_of(name))] for name, table in tables.items()]
     nothing = Annotated[None, Tag("")]  # a union has two members at least
     return Annotated[Union[*tagged, nothing], Discriminator(named)]
+
+
+def _either(laws: Mapping[str, type[Law]], made: list[type[LawTable]]) -> Any:
+    """One of the laws' tables; what is made goes to the end of a list."""
+    return one_of({name: _table(law, name, made) for name, law in laws.items()})
 
 
 def _table(law: type[Law], name: str | None, made: list[type[LawTable]]) -> type[LawTable]:

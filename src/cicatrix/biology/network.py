@@ -1,0 +1,276 @@
+"""Signalling networks of normalised Hill functions: rates at a point."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ..core.errors import InputError
+from ..core.law import Law, param
+from .wiring import Wiring
+
+TINY = 1e-250  # activities below count as this, whose powers are 0: exp and log are vectorised, powers are not
+Inhibition = Literal["complement", "weighted"]
+
+
+class RateLaw(Protocol):
+    """What courses, steady states and fields ask of a network; they cannot tell Hill functions from SBML."""
+
+    @property
+    def species(self) -> tuple[str, ...]:
+        """Names of the states (n_species,)."""
+        ...
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """What may be set from outside (n_inputs,)."""
+        ...
+
+    @property
+    def heeds_time(self) -> bool:
+        """Whether the rate depends on time itself."""
+        ...
+
+    @property
+    def differentiable(self) -> dict[str, tuple[str, ...]]:
+        """Fields that hold its parameters, one-dimensional for one network, and what each number in them belongs to."""
+        ...
+
+    def rate(self, y: Array, inputs: Array | None = None, time: Array | float = 0.0) -> Array:
+        """dy/dt at states (..., n_species) under inputs (..., n_inputs) -> (..., n_species) [1/s]."""
+        ...
+
+    def under(self, inputs: Array | None = None) -> BoundRates:
+        """The rates under inputs that are held, for many states one after the other."""
+        ...
+
+
+class BoundRates(Protocol):
+    """Rates under inputs that are held."""
+
+    def rate(self, y: Array, time: Array | float = 0.0) -> Array:
+        """dy/dt at states (..., n_species) -> (..., n_species) [1/s]."""
+        ...
+
+
+class HillNetwork(Law):
+    r"""Activities of signalling species, each in [0, 1] of its greatest amount.
+
+    .. math::
+        \dot y_i = (F_i \, y_{max,i} - y_i) / \tau_i, \qquad
+        act(x) = w \frac{B \, x^n}{K^n + x^n}, \quad B = \frac{E^n - 1}{2 E^n - 1}, \quad K^n = B - 1, \quad E = EC_{50}
+
+    so that act(0) = 0, act(E) = w / 2, act(1) = w. NOT: 1 - act. AND of m factors: their product over :math:`w^{m-1}`. OR of
+    the reactions with the same target: x + y - x y. An input ``=> X`` is its weight. A species without a reaction decays.
+
+    Source: Kraeutler, Soltis & Saucerman, BMC Systems Biology 4:157 (2010), as in the cardiac fibroblast network of Zeigler et
+    al., Journal of Molecular and Cellular Cardiology 94:72-81 (2016). Departures: act is computed as
+    :math:`w (1 - E^n) x^n / (E^n + (1 - 2 E^n) x^n)`, the same without the quotients; it is not cut off at w for x > 1
+    (y_max > 1); negative x, which a solver's error can bring, counts as 0. The product over :math:`w^{m-1}` is formed
+    without division by a power of a weight that may be 0, wherever its limit exists.
+
+    Parameters
+    ----------
+    wiring : Wiring
+        Who acts on whom; its arrays are compiled in, so all parameter sets of a network share one program.
+    y_max : (..., n_species) array [1]
+        Greatest activities; 0 is a knock-out.
+    tau : (..., n_species) array [s]
+        Times within which activities follow.
+    weight, n, ec50 : (..., n_reactions) array [1]
+        Of every reaction: weight in [0, 1]; Hill exponent from 1, for below it the slope at 0 is not finite; half-maximal
+        activity above 0 and below :math:`2^{-1/n}` (0.6095 for n = 1.4), where B and K^n are above 0.
+    inhibition : str
+        "complement": NOT is 1 - act, as printed; an inhibited reaction of small weight is then a strong one where its inhibitor
+        lacks. "weighted": NOT is w - act, as the program Netflux has it; equal for w = 1, and nothing for w = 0.
+
+    Raises
+    ------
+    InputError
+        If a parameter is out of its range, naming species or reaction.
+    """
+
+    wiring: Wiring = param("1", "wiring", static=True)
+    y_max: Array = param("1", "y_max")
+    tau: Array = param("s", "tau", typed="h")
+    weight: Array = param("1", "w")
+    n: Array = param("1", "n")
+    ec50: Array = param("1", "EC50")
+    inhibition: Inhibition = param("1", "inhibition", static=True, default="complement")
+
+    def __check_init__(self):
+        fields = (self.y_max, self.tau, self.weight, self.n, self.ec50)
+        if not all(isinstance(value, np.ndarray) for value in fields):
+            return  # inside a transformation: checked when the law was made
+        species, reactions = self.wiring.species, self.wiring.reactions
+        _check("y_max", self.y_max, self.y_max >= 0.0, "at least 0", "species", species)
+        _check("tau", self.tau, self.tau > 0.0, "above 0 s", "species", species)
+        _check("weight", self.weight, (self.weight >= 0.0) & (self.weight <= 1.0), "in [0, 1]", "reaction", reactions)
+        _check("n", self.n, (self.n >= 1.0) & (self.n <= 50.0), "in [1, 50]", "reaction", reactions)
+        self._check_ec50()
+        if self.inhibition == "complement":
+            is_finite = (self.weight > 0.0) | (self.wiring.n_negated < 2)
+            words = "above 0 in an AND of two inhibitors and more, which is divided by it"
+            _check("weight", self.weight, is_finite, words, "reaction", reactions)
+
+    def _check_ec50(self) -> None:
+        most = 0.5 ** (1.0 / self.n)
+        good = (self.ec50 > 0.0) & (self.ec50 < most)
+        if not np.all(good):
+            worst = tuple(np.argwhere(~np.broadcast_to(good, np.broadcast_shapes(good.shape, self.ec50.shape)))[0])
+            n = np.broadcast_to(self.n, good.shape)[worst]
+            words = f"above 0 and below 0.5^(1/n) = {0.5 ** (1.0 / n):.4g} for n = {n:g}"
+            _check("ec50", self.ec50, good, words, "reaction", self.wiring.reactions)
+
+    @property
+    def species(self) -> tuple[str, ...]:
+        """Names of the states (n_species,)."""
+        return self.wiring.species
+
+    @property
+    def input_names(self) -> tuple[str, ...]:
+        """Species with a reaction ``=> X`` (n_inputs,)."""
+        return self.wiring.input_names
+
+    @property
+    def heeds_time(self) -> bool:
+        """It does not."""
+        return False
+
+    @property
+    def differentiable(self) -> dict[str, tuple[str, ...]]:
+        """Parameters by species and by reaction."""
+        species, reactions = self.wiring.species, self.wiring.reactions
+        return {"y_max": species, "tau": species, "weight": reactions, "n": reactions, "ec50": reactions}
+
+    def rate(self, y: Array, inputs: Array | None = None, time: Array | float = 0.0) -> Array:
+        """dy/dt at activities (..., n_species) [1] -> (..., n_species) [1/s].
+
+        ``inputs`` (..., n_inputs) [1] take the place of the weights of the reactions ``=> X``, in the order of ``input_names``.
+        Leading axes of states, inputs and parameters broadcast. ``time`` does not matter.
+        """
+        return self.under(inputs).rate(y, time)
+
+    def activation(self, y: Array, inputs: Array | None = None) -> Array:
+        """F, how much every species is driven, at activities (..., n_species) [1] -> (..., n_species) [1]."""
+        bound = self.under(inputs)
+        return jnp.moveaxis(bound.driven(_first(y), _width(y, bound.lead)), 0, -1)
+
+    def under(self, inputs: Array | None = None) -> HillRates:
+        """The rates under inputs (..., n_inputs) [1], with all that does not depend on the state computed once."""
+        _, reaction, is_negated = self.wiring.edges
+        weight, n, half = self._weights(inputs), jnp.asarray(self.n), jnp.asarray(self.ec50) ** self.n
+        is_plain = self.inhibition == "weighted" or not is_negated.any()
+        return HillRates(
+            self.wiring,
+            _first(self.y_max),
+            _first(self.tau),
+            _first(n)[reaction],
+            _first(half / (1.0 - half))[reaction],
+            _first((1.0 - 2.0 * half) / (1.0 - half))[reaction],
+            None if is_plain else _first(weight)[reaction[is_negated]],
+            _first(weight if is_plain else _power(weight, 1 - self.wiring.n_negated)),
+        )
+
+    def _weights(self, inputs: Array | None) -> Array:
+        """Weights (..., n_reactions) with the inputs put in."""
+        weight = jnp.asarray(self.weight)
+        if inputs is None or not self.input_names:
+            return weight
+        put = jnp.asarray(inputs)
+        lead = np.broadcast_shapes(weight.shape[:-1], put.shape[:-1])
+        weight = jnp.broadcast_to(weight, (*lead, weight.shape[-1]))
+        return weight.at[..., self.wiring.input_reactions].set(put)
+
+
+class HillRates(eqx.Module):
+    """Rates of a network whose parameters and inputs are known; inside, the batch is last: every species is a contiguous row."""
+
+    wiring: Wiring = eqx.field(static=True)
+    y_max: Array
+    tau: Array
+    n: Array
+    """Of every edge (n_edges, ...), as the two below."""
+    offset: Array
+    slope: Array
+    """act / w = x^n / (offset + slope x^n)."""
+    weight: Array | None
+    """Of every edge with ``!``, where NOT is 1 - act."""
+    scale: Array
+    """What the product of a reaction's factors is multiplied with (n_reactions, ...)."""
+
+    @property
+    def lead(self) -> tuple[int, ...]:
+        """Batch axes of parameters and inputs."""
+        arrays = (self.y_max, self.tau, self.n, self.offset, self.slope, self.scale)
+        return np.broadcast_shapes(*(array.shape[1:] for array in arrays))
+
+    def rate(self, y: Array, time: Array | float = 0.0) -> Array:
+        """dy/dt at activities (..., n_species) [1] -> (..., n_species) [1/s]."""
+        width, rows = _width(y, self.lead), _first(y)
+        F = self.driven(rows, width)
+        rate = (F * _wide(self.y_max, width) - _wide(rows, width)) / _wide(self.tau, width)
+        return jnp.moveaxis(rate, 0, -1)
+
+    def driven(self, y: Array, width: int) -> Array:
+        """F (n_species, ...) at activities (n_species, ...), in ``width`` batch axes."""
+        species, _, is_negated = self.wiring.edges
+        log = jnp.log(jnp.maximum(_wide(y, width), TINY))
+        x = jnp.exp(_wide(self.n, width) * _rows(log, species))
+        hill = x / (_wide(self.offset, width) + _wide(self.slope, width) * x)
+        given, taken = hill[: (~is_negated).sum()], hill[(~is_negated).sum() :]
+        if self.weight is not None:
+            taken = _wide(self.weight, width) * taken
+        shape = np.broadcast_shapes(given.shape[1:], taken.shape[1:])
+        factor = jnp.concatenate([jnp.broadcast_to(part, (len(part), *shape)) for part in (given, 1.0 - taken)])
+        flow = _wide(self.scale, width) * _gathered_product(factor, self.wiring.factors_of)
+        return 1.0 - _gathered_product(1.0 - flow, self.wiring.reactions_into)
+
+
+def _power(weight: Array, exponent: np.ndarray) -> Array:
+    """Weights (..., n_reactions) to whole powers (n_reactions,) of at most 1."""
+    safe = jnp.where(exponent < 0, weight, 1.0)
+    return jnp.where(exponent == 1, weight, safe ** jnp.minimum(exponent, 0))
+
+
+def _rows(rows: Array, which: np.ndarray) -> Array:
+    return rows.at[which].get(mode="promise_in_bounds")
+
+
+def _gathered_product(rows: Array, members: np.ndarray) -> Array:
+    """Products of rows (n, ...) over members (m, most), where n stands for 1 -> (m, ...)."""
+    rows = jnp.concatenate([rows, jnp.ones((1, *rows.shape[1:]), rows.dtype)])
+    product = _rows(rows, members[:, 0])
+    for column in members.T[1:]:
+        product = product * _rows(rows, column)
+    return product
+
+
+def _first(values: Array) -> Array:
+    """(..., n) -> (n, ...)."""
+    return jnp.moveaxis(jnp.asarray(values), -1, 0)
+
+
+def _width(y: Array, lead: tuple[int, ...]) -> int:
+    return max(jnp.ndim(y) - 1, len(lead))
+
+
+def _wide(rows: Array, width: int) -> Array:
+    """(n, ...) with ones before the batch axes, so that there are ``width`` of these."""
+    return rows.reshape(rows.shape[0], *(1,) * (width + 1 - rows.ndim), *rows.shape[1:])
+
+
+def _check(key: str, values: np.ndarray, is_good: np.ndarray, words: str, what: str, names: tuple[str, ...]) -> None:
+    if values.shape[-1] != len(names):
+        raise InputError(
+            f"HillNetwork.{key} must have one value for each {what} ({len(names)}); got {values.shape[-1]}"
+        )
+    is_good = np.broadcast_to(is_good & np.isfinite(values), np.broadcast_shapes(is_good.shape, values.shape))
+    if not np.all(is_good):
+        worst = tuple(np.argwhere(~is_good)[0])
+        got = np.broadcast_to(values, is_good.shape)[worst]
+        raise InputError(f'{what} "{names[worst[-1]]}": {key} must be {words}; got {got:g}')

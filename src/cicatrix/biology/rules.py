@@ -1,0 +1,105 @@
+"""Rules of a signalling network as text: ``TGFB & !smad7 => smad3``."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable
+from typing import NamedTuple, NoReturn
+
+from ..core.errors import InputError
+
+TOKEN = re.compile(r"\s*(=>|&|!|[A-Za-z0-9_]+|\S)")
+NAME = re.compile(r"[A-Za-z0-9_]+")
+HINTS = {
+    "|": "OR is two reactions with the same target",
+    "&&": "AND is a single &",
+    "~": "NOT is written !",
+    "-": "a species is written with letters, digits and _",
+    "=": "an arrow is written =>",
+    ">": "an arrow is written =>",
+}
+
+
+class Factor(NamedTuple):
+    """A species that a reaction heeds, or the lack of it."""
+
+    species: str
+    is_negated: bool
+
+
+class Rule(NamedTuple):
+    """All factors together (AND) act on the target; none: an input."""
+
+    factors: tuple[Factor, ...]
+    target: str
+
+    @property
+    def is_input(self) -> bool:
+        """Whether nothing in the network drives it."""
+        return not self.factors
+
+    def __str__(self) -> str:
+        """As it is written."""
+        left = " & ".join(("!" if factor.is_negated else "") + factor.species for factor in self.factors)
+        return f"{left} => {self.target}".strip()
+
+
+class _Token(NamedTuple):
+    text: str
+    column: int
+    """From 1."""
+
+
+def parse_rule(text: str) -> Rule:
+    """Read a rule: factors joined by ``&``, ``!`` before those that inhibit, ``=>``, one target; ``=> TGFB`` is an input.
+
+    Raises
+    ------
+    InputError
+        With the column, what stands there and what should; the sentence lacks its subject, the reaction.
+    """
+    tokens = [_Token(found[1], found.start(1) + 1) for found in TOKEN.finditer(text)]
+    tokens.append(_Token("", len(text.rstrip()) + 1))
+    factors, i = [], 0
+    while tokens[i].text != "=>":
+        if factors:
+            i = _passed(text, tokens, i, "&", '"&" or "=>"')
+        is_negated = tokens[i].text == "!"
+        i += is_negated
+        factors.append(Factor(_name(text, tokens, i), is_negated))
+        i += 1
+    target = _name(text, tokens, i + 1)
+    _passed(text, tokens, i + 2, "", "the end of the rule, which has one target")
+    return Rule(tuple(factors), target)
+
+
+def unknown_species(name: str, known: Iterable[str]) -> str:
+    """Say that a species is not there, and which known one is nearest."""
+    lower = {one.lower(): one for one in known}
+    near = difflib.get_close_matches(name.lower(), lower, n=1)
+    if near:
+        return f'names the unknown species "{name}"; did you mean "{lower[near[0]]}"?'
+    listed = sorted(lower.values())
+    return f'names the unknown species "{name}"; known: {", ".join(listed[:20])}{", ..." if len(listed) > 20 else ""}'
+
+
+def _name(text: str, tokens: list[_Token], i: int) -> str:
+    if not NAME.fullmatch(tokens[i].text):
+        _refuse(text, tokens[i], "a species")
+    return tokens[i].text
+
+
+def _passed(text: str, tokens: list[_Token], i: int, expected: str, words: str) -> int:
+    if tokens[i].text != expected:
+        _refuse(text, tokens[i], words)
+    return i + 1
+
+
+def _refuse(text: str, token: _Token, expected: str) -> NoReturn:
+    found = f'found "{token.text}"' if token.text else "found its end"
+    hint = (HINTS.get(text[token.column - 2 : token.column], "") or HINTS.get(token.text, "")) if token.text else ""
+    raise InputError(
+        f'has the rule "{text}", which does not parse at column {token.column}: {expected} expected, {found}'
+        f"{f' ({hint})' if hint else ''}"
+    )

@@ -1,0 +1,94 @@
+"""Cells, cytokine and collagen at a point: how fast each of them changes."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from jax import Array
+
+from ..core.law import Law, param
+
+
+class Turnover(Law):
+    r"""Rates of cells, cytokine (TGF-beta) and collagen that a mechanical signal H in [0, 1] raises.
+
+    .. math::
+        \dot m_f &= \left( p_f + p_{f,c} \frac{c}{K_{f,c} + c} + p_{f,t} H \right) \frac{\rho}{K_{f,\rho} + m_f}
+                    - (d_f + d_{f,\rho c} \, \rho \, c) \, m_f \\
+        \dot \rho &= \left( p_\rho + p_{\rho,c} \frac{c}{K_{\rho,c} + c} + p_{\rho,t} H \right)
+                    \left( 1 - \frac{\rho}{K_{\rho,\rho}} \right) \rho - d_\rho \, \rho + x_\rho \, (1 - \rho) \\
+        \dot c &= (p_c \, c + p_{c,t} H) \frac{\rho}{K_{c,c} + c} - d_c \, c + x_c \, (c_{phys} - c)
+
+    Source: Guo, Mofrad & Buganza Tepole, Eqs (28)-(30). Read so: cells count in those of healthy tissue, cytokine in a largest
+    amount, collagen in that of healthy tissue, so every rate is one per time; what the print multiplies by nothing,
+    :math:`p_{\cdot,t^a}`, multiplies the signal; its :math:`D_{\rho,\rho}` and :math:`D_{c,c}` are the rates of exchange
+    :math:`x_\rho, x_c` with the surroundings. Defaults are those in use by this group's wound models but for three: the rates of
+    exchange, which they have no use for, are chosen, and :math:`K_{\rho,\rho}` is 1.25 instead of 1, so that healthy tissue keeps
+    its cells, :math:`K_{\rho,\rho} (1 - d_\rho / p_\rho) = 1`, as it keeps its collagen by the :math:`K_{f,\rho}` in use.
+
+    Parameters
+    ----------
+    p_f, p_f_c, p_f_t : float or (...) array [1/s]
+        Production of collagen: basal, most by cytokine, most by the signal.
+    d_f, d_f_rho_c : float or (...) array [1/s]
+        Decay of collagen: basal, and by cells under cytokine.
+    K_f_c, K_f_rho : float or (...) array [1]
+        Cytokine of half its effect on collagen; crowding of collagen.
+    p_rho, p_rho_c, p_rho_t : float or (...) array [1/s]
+        Proliferation: basal, most by cytokine, most by the signal.
+    d_rho, x_rho : float or (...) array [1/s]
+        Death, and exchange with healthy tissue.
+    K_rho_c, K_rho_rho : float or (...) array [1]
+        Cytokine of half its effect on cells; cells at which proliferation stops.
+    p_c, p_c_t : float or (...) array [1/s]
+        Production of cytokine by itself and by the signal.
+    d_c, x_c : float or (...) array [1/s]
+        Decay of cytokine, and exchange with the surroundings.
+    K_c_c, c_phys : float or (...) array [1]
+        Saturation of cytokine's production; cytokine of the surroundings.
+    """
+
+    p_f: float | Array = param("1/s", "p_f", low=0.0, default=0.002 / 3600, typed="1/h")
+    p_f_c: float | Array = param("1/s", "p_f,c", low=0.0, default=0.002 / 3600, typed="1/h")
+    p_f_t: float | Array = param("1/s", "p_f,t", low=0.0, default=0.002 / 3600, typed="1/h")
+    d_f: float | Array = param("1/s", "d_f", low=0.0, default=0.00097 / 3600, typed="1/h")
+    d_f_rho_c: float | Array = param("1/s", "d_f,rho", low=0.0, default=0.5 * 0.00097 / 3600, typed="1/h")
+    K_f_c: float | Array = param("1", "K_f,c", above=0.0, default=1.0)
+    K_f_rho: float | Array = param("1", "K_f,rho", above=0.0, default=0.002 / 0.00097 - 1.0)
+    p_rho: float | Array = param("1/s", "p_rho", low=0.0, default=0.034 / 3600, typed="1/h")
+    p_rho_c: float | Array = param("1/s", "p_rho,c", low=0.0, default=0.034 / 3600, typed="1/h")
+    p_rho_t: float | Array = param("1/s", "p_rho,t", low=0.0, default=0.034 / 3600, typed="1/h")
+    d_rho: float | Array = param("1/s", "d_rho", low=0.0, default=0.2 * 0.034 / 3600, typed="1/h")
+    x_rho: float | Array = param("1/s", "D_rho,rho", low=0.0, default=0.034 / 3600, typed="1/h")
+    K_rho_c: float | Array = param("1", "K_rho,c", above=0.0, default=0.1)
+    K_rho_rho: float | Array = param("1", "K_rho,rho", above=0.0, default=1.25)
+    p_c: float | Array = param("1/s", "p_c,c", low=0.0, default=90e-16 / 1e-4 / 3600, typed="1/h")
+    p_c_t: float | Array = param("1/s", "p_c,t", low=0.0, default=300e-16 / 1e-4**2 / 3600, typed="1/h")
+    d_c: float | Array = param("1/s", "d_c", low=0.0, default=0.01 / 3600, typed="1/h")
+    x_c: float | Array = param("1/s", "D_c,c", low=0.0, default=0.01 / 3600, typed="1/h")
+    K_c_c: float | Array = param("1", "K_c,c", above=0.0, default=1.0)
+    c_phys: float | Array = param("1", "c_phys", low=0.0, default=0.0)
+
+    def rates(self, has: Contents, signal: Array) -> Contents:
+        """Rates [1/s] of what there is (...) [1] under a signal H (...) [1]; compiled for any shape, differentiable."""
+        rho, c, m_f = has
+        growing = self.p_f + self.p_f_c * c / (self.K_f_c + c) + self.p_f_t * signal
+        dividing = self.p_rho + self.p_rho_c * c / (self.K_rho_c + c) + self.p_rho_t * signal
+        return Contents(
+            rho=dividing * (1.0 - rho / self.K_rho_rho) * rho - self.d_rho * rho + self.x_rho * (1.0 - rho),
+            c=(self.p_c * c + self.p_c_t * signal) * rho / (self.K_c_c + c)
+            - self.d_c * c
+            + self.x_c * (self.c_phys - c),
+            m_f=growing * rho / (self.K_f_rho + m_f) - (self.d_f + self.d_f_rho_c * rho * c) * m_f,
+        )
+
+
+class Contents(NamedTuple):
+    """Of a piece of tissue, or their rates; each (...)."""
+
+    rho: Array
+    """Cells over those of healthy tissue [1]."""
+    c: Array
+    """Cytokine over a largest amount [1]."""
+    m_f: Array
+    """Collagen over that of healthy tissue [1]."""

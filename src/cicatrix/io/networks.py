@@ -1,0 +1,127 @@
+"""Signalling networks from CSV: one file of species, one of reactions."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..biology.network import HillNetwork, Inhibition
+from ..biology.rules import parse_rule
+from ..biology.wiring import Wiring
+from ..core.errors import InputError
+from ..core.units import hours_from_seconds, seconds_from_hours
+from ..study.signalling import Model, refuse_unknown
+from ..study.signalling_case import NetworkTable, SignallingCase
+from .sbml import read_sbml
+
+SPECIES = ("id", "y_init", "y_max", "tau_h")
+REACTIONS = ("id", "rule", "weight", "n", "ec50")
+COLUMNS = ("step", "time_h")  # of history.csv, beside the species
+Row = dict[str, str]
+
+
+def read_model(table: NetworkTable) -> Model:
+    """Read the network that a case names.
+
+    Raises
+    ------
+    InputError
+        With the file, the row and what is wrong there.
+    """
+    if table.sbml is not None:
+        path, model = table.sbml, read_sbml(table.sbml, table.time_unit)
+    else:
+        assert table.species is not None
+        assert table.reactions is not None
+        path, model = table.species, read_network(table.species, table.reactions, table.inhibition)
+    for name in model.law.species:
+        if name in COLUMNS or name.startswith("input_"):
+            raise InputError(f'{path}: species "{name}" must have another name: history.csv has a column of that one')
+    return model
+
+
+def faults_of(case: SignallingCase) -> list[str]:
+    """What of a sound case does not fit its network, or of the network itself: one sentence, or none."""
+    try:
+        refuse_unknown(case, read_model(case.network))
+    except InputError as error:
+        return [str(error)]
+    return []
+
+
+def read_network(species: Path, reactions: Path, inhibition: Inhibition = "complement") -> Model:
+    """Read a network of normalised Hill functions; columns beyond those needed, such as ``source``, are left alone.
+
+    Parameters
+    ----------
+    species : Path
+        Columns ``id``, ``y_init``, ``y_max`` [1], ``tau_h`` [h].
+    reactions : Path
+        Columns ``id``, ``rule`` (``TGFB & !smad7 => smad3``), ``weight``, ``n``, ``ec50`` [1].
+    inhibition : str
+        As :class:`.HillNetwork` has it.
+    """
+    states, links = _table(species, SPECIES), _table(reactions, REACTIONS)
+    start, y_max, tau_h = (_numbers(species, states, key) for key in SPECIES[1:])
+    weight, n, ec50 = (_numbers(reactions, links, key) for key in REACTIONS[2:])
+    if np.any(start < 0.0):
+        row = int(np.argmax(start < 0.0))
+        raise InputError(f'{species}: species "{states[row]["id"]}": y_init must be at least 0; got {start[row]:g}')
+    rules = tuple(_rule(reactions, number, row) for number, row in enumerate(links))
+    tau = seconds_from_hours(tau_h)
+    try:
+        wiring = Wiring(tuple(row["id"] for row in states), tuple(row["id"] for row in links), rules)
+        law = HillNetwork(wiring, y_max, tau, weight, n, ec50, inhibition)
+    except InputError as error:
+        path = species if str(error).startswith("species") else reactions
+        raise InputError(f"{path}: {str(error).replace('tau must be above 0 s', 'tau_h must be above 0')}") from None
+    notes = [f'Nothing acts on "{name}": it decays to 0.' for name in wiring.undriven]
+    slowest_h = float(hours_from_seconds(tau.max()))
+    return Model(law, start, weight[wiring.input_reactions], y_max, slowest_h, True, tuple(notes))
+
+
+def _table(path: Path, columns: Sequence[str]) -> list[Row]:
+    """Rows of a CSV file; empty lines are left out."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as text: {error}") from None
+    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text))]
+    lines = [(number, row) for number, row in enumerate(rows, 1) if any(row)]
+    if len(lines) < 2:
+        raise InputError(
+            f"{path}: must have a row of column names, {', '.join(columns)}, and a row for each thing named"
+        )
+    head = lines[0][1]
+    missing = [name for name in columns if name not in head]
+    if missing:
+        raise InputError(f"{path}: column {missing[0]} is missing; there are {', '.join(head)}")
+    for number, row in lines[1:]:
+        if len(row) != len(head):
+            raise InputError(f"{path}: row {number} must have {len(head)} columns as the first one has; got {len(row)}")
+        if not row[head.index("id")]:
+            raise InputError(f"{path}: row {number} has no id")
+    return [dict(zip(head, row)) for _, row in lines[1:]]
+
+
+def _numbers(path: Path, rows: list[Row], key: str) -> np.ndarray:
+    return np.array([_number(path, row, key) for row in rows])
+
+
+def _number(path: Path, row: Row, key: str) -> float:
+    try:
+        return float(row[key])
+    except ValueError:
+        raise InputError(f'{path}: "{row["id"]}": {key} must be a number; got "{row[key]}"') from None
+
+
+def _rule(path: Path, number: int, row: Row) -> Any:
+    try:
+        return parse_rule(row["rule"])
+    except InputError as error:
+        raise InputError(f'{path}: reaction "{row["id"]}" {error}') from None

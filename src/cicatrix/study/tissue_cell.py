@@ -1,0 +1,122 @@
+"""From a case of kind "tissue-cell" to its chain, its start and its loading."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+
+from ..biology.chain import Chain, Felt
+from ..biology.moreo import Moreo
+from ..biology.network import HillNetwork
+from ..biology.signals import NetworkSignal, Signal, StrainSignal, TractionSignal
+from ..core.compiler import COMPILER
+from ..core.errors import InputError
+from ..core.ode import Accuracy, Course, course
+from ..core.units import seconds_from_hours
+from ..materials.material import EnergyMaterial
+from .adhesion import adhesion_of
+from .adhesion_case import AdhesionCase, MethodTable
+from .laws import law_of
+from .tissue_cell_case import NetworkSignalTable, TissueCellCase, TractionTable
+
+CHUNK = 10  # rows between two of which the solver starts anew, so that a run can be stopped there
+
+
+class Model(NamedTuple):
+    """A chain and what it is led by."""
+
+    chain: Chain
+    law: EnergyMaterial
+    start: np.ndarray
+    """(n_states,)."""
+    times: np.ndarray
+    """Of the rows (n_rows + 1,) [s]."""
+    corners: np.ndarray
+    """(n, 2): time [s] and stretch [1]."""
+    notes: tuple[str, ...]
+
+    def stretch(self, time: np.ndarray) -> np.ndarray:
+        """Lambda (...) [1] at times (...) [s]."""
+        return np.interp(time, *self.corners.T)
+
+
+def model_of(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | None) -> Model:
+    """Put the parts together; a network comes with its start (n_species,).
+
+    Raises
+    ------
+    InputError
+        If feedback or substrate do not hold at a stretch of the loading, or the network has no such input or output.
+    """
+    stretches = case.loading.stretch
+    substrate = case.substrate.model_copy(update={"stretch": tuple(sorted({1.0, *stretches}))})
+    by_itself = AdhesionCase(
+        bond=case.bond,
+        substrate=substrate,
+        law=case.law if case.substrate.type == "law" else (),
+        cell=case.cell,
+        method=MethodTable(duration_s=1.0),
+    )
+    adhesion, notes = adhesion_of(by_itself)
+    chain = Chain(adhesion, _signal(case, network), case.turnover.build(), case.growth_density)
+    first, scale = case.start, case.scale
+    rho = 1.0 if first.rho_per_mm3 is None else first.rho_per_mm3 / scale.rho_phys_per_mm3
+    own = [1.0, rho, first.c_g_per_mm3 / scale.c_max_g_per_mm3, first.m_f, first.bound_fraction]
+    start = np.concatenate([own, network[1] if network else []])
+    corners = np.column_stack([seconds_from_hours(np.array(case.loading.time_h)), stretches])
+    times = np.linspace(corners[0, 0], corners[-1, 0], case.loading.n_rows + 1)
+    return Model(chain, law_of(case), start, times, corners, tuple(notes))
+
+
+def _signal(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | None) -> Signal:
+    table = case.signal
+    if isinstance(table, TractionTable):
+        return TractionSignal(table.K_kPa, table.threshold_kPa)
+    if isinstance(table, NetworkSignalTable):
+        if network is None:
+            raise InputError("signal.species and signal.reactions must be read first")
+        return NetworkSignal(network[0], TractionSignal(table.K_kPa, table.threshold_kPa), table.input, table.output)
+    cell = Moreo(table.K_pass_kPa, table.K_act_kPa, table.p_max_kPa, table.theta_1, table.theta_2)
+    return StrainSignal(cell, table.K_kPa)
+
+
+@eqx.filter_jit
+def follow(chain: Chain, corners: Array, start: Array, times: Array, accuracy: Accuracy) -> Course:
+    """Lead states (n_states,) through times (n_times,) [s] under stretches between corners (n, 2); differentiable."""
+
+    def rate(led: tuple[Chain, Array], y: Array, t: Array) -> Array:
+        chain, corners = led
+        return chain.rate(y, jnp.interp(t, corners[:, 0], corners[:, 1]))
+
+    return course(rate, (chain, corners), start, times, accuracy)
+
+
+def accuracy_of(case: TissueCellCase) -> Accuracy:
+    """How exactly to follow it: bonds are followed in seconds, tissue in weeks, so the method is the implicit one."""
+    return Accuracy(case.solver.relative_tolerance, case.solver.absolute_tolerance, "implicit", case.solver.max_steps)
+
+
+def felt(model: Model, y: np.ndarray, time: np.ndarray) -> Felt:
+    """What cells feel in states (n, n_states) at times (n,) [s]: arrays (n,)."""
+    return Felt(*map(np.asarray, _felt(model.chain, y, model.stretch(time))))
+
+
+def passive_stress(law: EnergyMaterial, elastic: np.ndarray) -> np.ndarray:
+    """Cauchy stress along x [kPa] of incompressible tissue under equal elastic stretches (n,) [1] in the plane."""
+    return np.asarray(_passive(law, elastic))
+
+
+_felt = jax.jit(lambda chain, y, stretch: chain.felt(y, stretch), compiler_options=COMPILER)
+
+
+@jax.jit
+def _passive(law: EnergyMaterial, elastic: Array) -> Array:
+    thin = elastic**-2
+    F = jax.vmap(jnp.diag)(jnp.stack([elastic, elastic, thin], axis=-1))
+    P = law.stress(F, law.initial_state(elastic.shape))
+    return P[:, 0, 0] * elastic - P[:, 2, 2] * thin
