@@ -39,8 +39,8 @@ def table(m: dict[str, History]) -> list[tuple[str, str, bool]]:
     return [
         (
             "the applied stretch stays; the elastic one decays to less than a tenth of its excess as growth rises",
-            f"applied {np.ptp(all_of['lambda']):.0e} off; elastic {elastic[0]:.3f} to {elastic[-1]:.4f} ({100 * left:.1f} % left, "
-            f"on the way up by {back:.1e} at most); grown {grown[-1]:.4f}, half of it by {half:.0f} h",
+            f"applied {np.ptp(all_of['lambda']):.0e} off; elastic {elastic[0]:.3f} to {elastic[-1]:.4f} ({100 * left:.1f} % "
+            f"left, on the way up by {back:.1e} at most); grown {grown[-1]:.4f}, half of it by {half:.0f} h",
             bool(np.ptp(all_of["lambda"]) == 0.0 and left < 0.1 and back < 1e-3 and grown[-1] > grown[0]),
         ),
         (
