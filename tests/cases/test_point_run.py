@@ -285,6 +285,20 @@ def test_too_much_stress_is_told_and_the_rows_are_kept(case_file, tmp_path, caps
     assert list((tmp_path / "run" / "checkpoint").iterdir())
 
 
+@pytest.mark.slow  # compiles for half a minute
+def test_a_history_without_places_left_is_told(case_file, tmp_path, capfd):
+    mixture = "law=[{type='constrained-mixture', form={type='exact', cohorts=8}, constituent=[{fraction=0.5, lifetime_h=1, "
+    law = mixture + "law={type='neo-hookean', mu_kPa=1}}]}]"
+    path = case_file(LAW + LOADING)
+    settings = ["--set", law, "--set", "loading.steps_per_segment=10"]
+    assert main(["run", str(path), *settings, "--out", str(tmp_path / "run")]) == 3
+    said = capfd.readouterr().err
+    assert "Traceback" not in said
+    assert "law[..].form.cohorts = 8 of the exact form is used up after 0 of the 20 steps asked: give 42 at least" in said
+    assert len((tmp_path / "run" / "history.csv").read_text().splitlines()) == 1 + 1  # a step is halved
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"]["state"] == "failed"
+
+
 def test_settings_reach_into_lists(case_file):
     case = load_case(case_file(LAW + LOADING), ["law.0.mu_kPa=3", "law[0].kappa_kPa=4", "loading.x.1=1.1"])
     law = law_of(case)
