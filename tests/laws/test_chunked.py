@@ -1,5 +1,7 @@
 """Points some at a time give the numbers of all at once; the benchmark's laws are those of case files."""
 
+import sys
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -7,7 +9,7 @@ import pytest
 from quick import compiled
 
 from cicatrix.cli import bench_laws
-from cicatrix.core.errors import InputError
+from cicatrix.core.errors import CicatrixError, InputError
 from cicatrix.materials.chunked import chunked
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
 from cicatrix.materials.neo_hookean import NeoHookean
@@ -61,3 +63,17 @@ def test_the_closed_form_beside_the_law_is_the_law():
 
 def test_every_law_of_a_case_file_is_measured():
     assert all(isinstance(bench_laws.LAWS[name][0], law) for name, law in LAWS.items())
+
+
+def test_a_row_is_there_before_the_next_is_measured(tmp_path):
+    waits = (
+        "import pathlib, time; print('[\"a\", NaN, \"ns\"]', flush=True)\n"
+        f"while not pathlib.Path({str(tmp_path / 'go')!r}).exists(): time.sleep(0.01)\n"
+        "print('[\"b\", 2.0, \"ns\", \"note\"]'); raise ValueError('at fault')"
+    )
+    rows = bench_laws.printed_rows([sys.executable, "-c", waits])
+    assert next(rows).what == "a"
+    (tmp_path / "go").touch()
+    assert next(rows) == ("b", 2.0, "ns", "note")
+    with pytest.raises(CicatrixError, match="ended with .*at fault"):
+        next(rows)

@@ -9,6 +9,7 @@ import json
 import os
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -69,13 +70,22 @@ NOTES = {
 }
 
 
-def laws() -> list[Measurement]:
+def laws() -> Iterator[Measurement]:
     """Nanoseconds per point for P and its tangent of every law, in a process of its own that has one core."""
     with _one_core():
-        done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True)
-    if done.returncode:
-        raise CicatrixError(f"the benchmark of laws ended with {done.stderr.strip().splitlines()[-1:]}")
-    return [Measurement(*row) for row in json.loads(done.stdout.splitlines()[-1])]
+        yield from printed_rows([sys.executable, "-m", __name__])
+
+
+def printed_rows(command: list[str]) -> Iterator[Measurement]:
+    """What a process prints, as it comes: a measurement per line."""
+    with tempfile.TemporaryFile("w+") as told:
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=told, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                yield Measurement(*json.loads(line))
+        told.seek(0)
+        if process.returncode:
+            raise CicatrixError(f"the benchmark of laws ended with {told.read().strip().splitlines()[-1:]}")
 
 
 def measured() -> Iterator[Measurement]:
@@ -183,4 +193,5 @@ def _one_core() -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(list(measured())))
+    for row in measured():
+        print(json.dumps(row), flush=True)
