@@ -223,7 +223,12 @@ FAULTS = {
     "growth by a stress that nothing knows": (
         ["growth={type='volume', tau_h=1, homeostatic_kPa=1}", "law.0.kappa_kPa=1"],
         "growth.homeostatic_kPa must not heed the mean stress of incompressible tissue, of which a law knows nothing: "
-        'leave it out, or give loading.plane = "stress" or "strain"',
+        'give loading.plane = "stress" or "strain"',
+    ),
+    "growth by a volume that is kept": (
+        ["growth={type='volume', tau_h=1}"],
+        'growth by volume follows the elastic change of volume, which loading.plane = "incompressible" does not allow: '
+        'give loading.plane = "stress" or "strain", and kappa_kPa of a part of the law',
     ),
     "too much of everything": (
         [
