@@ -141,6 +141,7 @@ FAULTS = {
         "law[0].xyz is not a known key; known in [law[0]]: type, mu_kPa, kappa_kPa, viscous",
     ),
     "law is a number": (["law=3"], "law must be a list; got 3"),
+    "law is a table": (["law={mu_kPa=1}"], "law must be a list of tables: write [[law]]; got [law]"),
     "law of numbers": (["law=[3]"], "law[0] must be a table; got 3"),
     "no law": (["law=[]"], "law must be at least one table [[law]]"),
     "no parameter": (["law=[{type='neo-hookean'}]"], "law[0].mu_kPa is missing"),
@@ -211,7 +212,7 @@ FAULTS = {
             "law=[{type='fibre-distribution', mu_f_kPa=1, orientation={type='single'}, growth={tau_h=1}}]",
             "growth={type='area', tau_h=1}",
         ],
-        "growth must be said once, for the whole tissue",
+        "growth must be said once, for the whole tissue; found law[0].growth, [growth]",
     ),
     "growth inside a mixture": (
         [
@@ -258,6 +259,8 @@ def test_unknown_law_lists_the_known_ones(case_file):
     assert sentence.startswith("law[0].type must be ")
     assert '"neo-hookean"' in sentence
     assert sentence.endswith('; got "rubber"')
+    (sentence,) = check_case(case_file(LAW + LOADING), ["law.0.type=neo-hokean"])
+    assert sentence.endswith('; got "neo-hokean", did you mean "neo-hookean"?')
     (sentence,) = check_case(case_file(LAW + LOADING), ["law=[{mu_kPa=1}]"])
     assert sentence.startswith("law[0].type must be ")
     assert sentence.endswith("; it is missing")
