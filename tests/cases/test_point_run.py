@@ -141,6 +141,7 @@ FAULTS = {
         "law[0].xyz is not a known key; known in [law[0]]: type, mu_kPa, kappa_kPa, viscous",
     ),
     "law is a number": (["law=3"], "law must be a list; got 3"),
+    "law is a table": (["law={mu_kPa=1}"], "law must be a list of tables: write [[law]]; got [law]"),
     "law of numbers": (["law=[3]"], "law[0] must be a table; got 3"),
     "no law": (["law=[]"], "law must be at least one table [[law]]"),
     "no parameter": (["law=[{type='neo-hookean'}]"], "law[0].mu_kPa is missing"),
@@ -211,7 +212,7 @@ FAULTS = {
             "law=[{type='fibre-distribution', mu_f_kPa=1, orientation={type='single'}, growth={tau_h=1}}]",
             "growth={type='area', tau_h=1}",
         ],
-        "growth must be said once, for the whole tissue",
+        "growth must be said once, for the whole tissue; found law[0].growth, [growth]",
     ),
     "growth inside a mixture": (
         [
@@ -223,7 +224,12 @@ FAULTS = {
     "growth by a stress that nothing knows": (
         ["growth={type='volume', tau_h=1, homeostatic_kPa=1}", "law.0.kappa_kPa=1"],
         "growth.homeostatic_kPa must not heed the mean stress of incompressible tissue, of which a law knows nothing: "
-        'leave it out, or give loading.plane = "stress" or "strain"',
+        'give loading.plane = "stress" or "strain"',
+    ),
+    "growth by a volume that is kept": (
+        ["growth={type='volume', tau_h=1}"],
+        'growth by volume follows the elastic change of volume, which loading.plane = "incompressible" does not allow: '
+        'give loading.plane = "stress" or "strain", and kappa_kPa of a part of the law',
     ),
     "too much of everything": (
         [
@@ -253,6 +259,8 @@ def test_unknown_law_lists_the_known_ones(case_file):
     assert sentence.startswith("law[0].type must be ")
     assert '"neo-hookean"' in sentence
     assert sentence.endswith('; got "rubber"')
+    (sentence,) = check_case(case_file(LAW + LOADING), ["law.0.type=neo-hokean"])
+    assert sentence.endswith('; got "neo-hokean", did you mean "neo-hookean"?')
     (sentence,) = check_case(case_file(LAW + LOADING), ["law=[{mu_kPa=1}]"])
     assert sentence.startswith("law[0].type must be ")
     assert sentence.endswith("; it is missing")
@@ -283,6 +291,24 @@ def test_too_much_stress_is_told_and_the_rows_are_kept(case_file, tmp_path, caps
     status = json.loads((tmp_path / "run" / "manifest.json").read_text())["status"]
     assert status["state"] == "failed"
     assert list((tmp_path / "run" / "checkpoint").iterdir())
+
+
+@pytest.mark.slow  # compiles for half a minute
+def test_a_history_without_places_left_is_told(case_file, tmp_path, capfd):
+    mixture = (
+        "law=[{type='constrained-mixture', form={type='exact', cohorts=8}, constituent=[{fraction=0.5, lifetime_h=1, "
+    )
+    law = mixture + "law={type='neo-hookean', mu_kPa=1}}]}]"
+    path = case_file(LAW + LOADING)
+    settings = ["--set", law, "--set", "loading.steps_per_segment=10"]
+    assert main(["run", str(path), *settings, "--out", str(tmp_path / "run")]) == 3
+    said = capfd.readouterr().err
+    assert "Traceback" not in said
+    assert (
+        "law[..].form.cohorts = 8 of the exact form is used up after 0 of the 20 steps asked: give 42 at least" in said
+    )
+    assert len((tmp_path / "run" / "history.csv").read_text().splitlines()) == 1 + 1  # a step is halved
+    assert json.loads((tmp_path / "run" / "manifest.json").read_text())["status"]["state"] == "failed"
 
 
 def test_settings_reach_into_lists(case_file):

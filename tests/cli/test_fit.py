@@ -45,6 +45,11 @@ def test_folder_of_a_fit(files, capsys):
     assert "found is there already" in capsys.readouterr().err
 
 
+def test_one_key_twice_is_refused(files, capsys):
+    assert main(["fit", "case.toml", "data.csv", *FREE, "--free", "law[0].mu_kPa=1..2"]) == 2
+    assert "--free law.0.mu_kPa is given twice" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("free", "words"),
     [

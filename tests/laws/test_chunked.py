@@ -7,7 +7,8 @@ import pytest
 from quick import compiled
 
 from cicatrix.cli import bench_laws
-from cicatrix.core.errors import InputError
+from cicatrix.cli.measurement import printed_on_one_core
+from cicatrix.core.errors import CicatrixError, InputError
 from cicatrix.materials.chunked import chunked
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
 from cicatrix.materials.neo_hookean import NeoHookean
@@ -61,3 +62,17 @@ def test_the_closed_form_beside_the_law_is_the_law():
 
 def test_every_law_of_a_case_file_is_measured():
     assert all(isinstance(bench_laws.LAWS[name][0], law) for name, law in LAWS.items())
+
+
+def test_a_row_is_there_before_the_next_is_measured(tmp_path):
+    waits = (
+        'import pathlib, time; print(\'["a", NaN, "ns"]\', flush=True)\n'
+        f"while not pathlib.Path({str(tmp_path / 'go')!r}).exists(): time.sleep(0.01)\n"
+        'print(\'["b", 2.0, "ns", "note"]\'); raise ValueError(\'at fault\')'
+    )
+    rows = printed_on_one_core("-c", waits)
+    assert next(rows).what == "a"
+    (tmp_path / "go").touch()
+    assert next(rows) == ("b", 2.0, "ns", "note")
+    with pytest.raises(CicatrixError, match=r"ended with .*at fault"):
+        next(rows)

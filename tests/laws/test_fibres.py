@@ -194,7 +194,7 @@ def test_quadrature_error_is_that_of_waviness_too():
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: Uniform(0.9, 1.4), r"Uniform.low \(lambda_1\) must lie in \[1, inf\] 1; got 0.9"),
+        (lambda: Uniform(0.9, 1.4), r"Uniform.low \(lambda_1\) must lie in \[1, inf\]; got 0.9\.$"),
         (lambda: Triangular(1.4, 1.2), r"Triangular.high must be above low; got low = 1.4, high = 1.2"),
         (lambda: Beta(1.0, 1.4, 0.5, 1.0), r"Beta.p \(p\) must lie in \[1, 50\]"),
         (lambda: VonMises(-1.0), r"VonMises.concentration \(c\) must lie in"),

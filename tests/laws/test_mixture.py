@@ -1,5 +1,7 @@
 """Constrained mixtures against closed forms, the heredity integral summed in plain NumPy, and each other."""
 
+from typing import Any, cast
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -8,13 +10,14 @@ from quick import compiled
 from scipy.integrate import quad, solve_ivp
 from scipy.linalg import polar
 
-from cicatrix.core.errors import InputError
-from cicatrix.materials.cohorts import Exact, MergedCohorts, Recursive, SecondMoment
+from cicatrix.core.errors import ConvergenceError, InputError
+from cicatrix.materials.cohorts import Exact, MergedCohorts, Recursive, SecondMoment, used_up
 from cicatrix.materials.constituent import Constituent
 from cicatrix.materials.homogenised import Homogenised
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.mixture import ConstrainedMixture
 from cicatrix.materials.neo_hookean import NeoHookean
+from cicatrix.mechanics.march import Load, Moment, march
 
 pytestmark = pytest.mark.xdist_group("mixture")  # compiled once
 
@@ -409,8 +412,16 @@ def test_a_full_history_says_so():
     state = held(mix, I, 1.0, 1.0)
     with pytest.raises(InputError, match=r"Exact\.cohorts \(3\) is used up"):
         mix.advance(I, state, 1.0)
-    with pytest.raises(RuntimeError, match=r"Exact\.cohorts \(3\) is used up"):
-        jax.block_until_ready(compiled(mix.advance)(I, state, 1.0))
+    after = compiled(mix.advance)(I, state, 1.0)
+    assert np.isnan(mix.masses(after)[0])
+    assert (used_up(state), used_up(state, 1), used_up(after)) == (0, 3, 3)
+    assert used_up((mixture(Recursive(2), FIBRE).initial_state(()), ()), 1) == 0
+
+
+def test_a_body_with_a_full_history_does_not_go_on():
+    start = Moment(0.0, np.zeros((1, 3)), held(mixture(Exact(3), FIBRE), I, 1.0, 1.0))
+    with pytest.raises(ConvergenceError, match=r"form\.cohorts = 3 of the exact form is used up"):
+        next(march(cast(Any, None), start.x, [Load(1.0, np.zeros(3))], start, cast(Any, None)))
 
 
 class WithHistory(Fibre):
@@ -423,7 +434,10 @@ class WithHistory(Fibre):
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: Constituent(NeoHookean(1.0), 1.2), r"Constituent\.fraction \(phi_0\) must lie in \[0, 1\] 1; got 1.2"),
+        (
+            lambda: Constituent(NeoHookean(1.0), 1.2),
+            r"Constituent\.fraction \(phi_0\) must lie in \[0, 1\]; got 1.2\.$",
+        ),
         (
             lambda: Constituent(NeoHookean(1.0), 0.5, lifetime=0.0),
             r"Constituent\.lifetime \(T\) must lie in \[1, inf\] s",

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..core.errors import InputError
 from .benchmarks import BENCHMARKS
+from .measurement import Measurement
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:
@@ -24,10 +25,11 @@ def run(args: argparse.Namespace) -> int:
     for name in names:
         if name not in BENCHMARKS:
             raise InputError(f"there is no benchmark {name}; known: {', '.join(BENCHMARKS)}")
-    measured = {}
+    measured: dict[str, list[Measurement]] = {}
     for name in names:
-        measured[name] = BENCHMARKS[name]()
-        for row in measured[name]:
+        measured[name] = []
+        for row in BENCHMARKS[name]():
+            measured[name].append(row)
             print(f"{name:<12} {row.what:<36} {row.value:12.6g} {row.unit:<6} {row.note}".rstrip(), flush=True)
     if args.json:
         _write_json(args.json, measured)

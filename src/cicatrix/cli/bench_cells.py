@@ -6,10 +6,8 @@ Seconds are those of the processor on one core. Signalling networks are measured
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import jax
 import numpy as np
@@ -20,10 +18,8 @@ from ..biology.bond import Bell
 from ..biology.contraction import Feedback
 from ..biology.sampling import exact, monte_carlo
 from ..biology.substrate import Column, ExponentialFibre, LinearSubstrate
-from ..core.errors import CicatrixError
 from ..materials.chunked import chunked
-from .bench_laws import one_core
-from .measurement import Measurement, best_of
+from .measurement import Measurement, best_of, printed_on_one_core
 
 MANY = 1_000_000  # substrates in one call
 SIZE = 1000  # at a time; divides MANY
@@ -36,19 +32,17 @@ COLLAGEN = Column(ExponentialFibre(0.004 * 17.599164683e6, 20.818113705), 0.017,
 SUBSTRATES = {"spring": LinearSubstrate(5e4), "collagen fibre": COLLAGEN}
 
 
-def cells() -> list[Measurement]:
-    """Rows of every part, in a process of its own that has one core."""
-    with one_core():
-        done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True)
-    if done.returncode:
-        raise CicatrixError(f"the benchmark of cells ended with {done.stderr.strip().splitlines()[-1:]}")
-    return [Measurement(*row) for row in json.loads(done.stdout.splitlines()[-1])]
+def cells() -> Iterator[Measurement]:
+    """Adhesion, in a process of its own that has one core."""
+    return printed_on_one_core("-m", __name__)
 
 
-def adhesion() -> list[Measurement]:
+def measured() -> Iterator[Measurement]:
     """Steady states with feedback, their derivative, single bonds in fixed steps and at exact times, and a loop of SciPy's."""
-    rows = [_steady(name, Adhesion(BELL, made, CELL, 400.0)) for name, made in SUBSTRATES.items()]
-    return [*rows, _derivative(), _scipy(), _stepped(), _generator(), _exact()]
+    for name, made in SUBSTRATES.items():
+        yield _steady(name, Adhesion(BELL, made, CELL, 400.0))
+    for row in (_derivative, _scipy, _stepped, _generator, _exact):
+        yield row()
 
 
 def _steady(name: str, law: Adhesion) -> Measurement:
@@ -111,4 +105,5 @@ def _exact() -> Measurement:
 
 
 if __name__ == "__main__":
-    print(json.dumps(adhesion()))
+    for row in measured():
+        print(json.dumps(row), flush=True)

@@ -6,8 +6,6 @@ Seconds are those of the processor on one core, so that what else a machine does
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
 
@@ -16,7 +14,6 @@ import numpy as np
 from jax import Array
 
 from ..core.compiler import COMPILER
-from ..core.errors import CicatrixError
 from ..materials.active import ActiveFibres, Contraction
 from ..materials.chunked import chunked
 from ..materials.constituent import Constituent
@@ -32,7 +29,7 @@ from ..materials.ogden import Ogden
 from ..materials.orientation import VonMises
 from ..materials.viscoelastic import Viscoelastic
 from ..materials.waviness import Uniform
-from .measurement import Measurement, best_of, one_core
+from .measurement import Measurement, best_of, printed_on_one_core
 
 MANY, FEW = 1_000_000, 100_000  # points of a cheap law and of a costly one
 SIZE = 1000  # points at a time; divides both
@@ -67,13 +64,9 @@ NOTES = {
 }
 
 
-def laws() -> list[Measurement]:
+def laws() -> Iterator[Measurement]:
     """Nanoseconds per point for P and its tangent of every law, in a process of its own that has one core."""
-    with one_core():
-        done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True)
-    if done.returncode:
-        raise CicatrixError(f"the benchmark of laws ended with {done.stderr.strip().splitlines()[-1:]}")
-    return [Measurement(*row) for row in json.loads(done.stdout.splitlines()[-1])]
+    return printed_on_one_core("-m", __name__)
 
 
 def measured() -> Iterator[Measurement]:
@@ -167,4 +160,5 @@ def _jaxmat(F: np.ndarray) -> Measurement:
 
 
 if __name__ == "__main__":
-    print(json.dumps(list(measured())))
+    for row in measured():
+        print(json.dumps(row), flush=True)

@@ -6,8 +6,6 @@ Seconds are those of the processor on one core, so that what else a machine does
 from __future__ import annotations
 
 import json
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from typing import NamedTuple
@@ -21,9 +19,8 @@ from scipy.integrate import solve_ivp
 from ..biology.network import HillNetwork
 from ..biology.rules import Factor, Rule
 from ..biology.wiring import Wiring
-from ..core.errors import CicatrixError
 from ..core.ode import Accuracy, course
-from .measurement import Measurement, best_of, one_core
+from .measurement import Measurement, best_of, printed_on_one_core
 
 N_SPECIES, N_INPUTS, N_SETS = 100, 5, 10_000
 TOGETHER = 250  # sets that share their steps; divides N_SETS
@@ -45,13 +42,9 @@ class Sets(NamedTuple):
     ec50: np.ndarray
 
 
-def networks() -> list[Measurement]:
+def networks() -> Iterator[Measurement]:
     """Processor time of a network of 100 species, in a process of its own that has one core."""
-    with one_core():
-        done = subprocess.run([sys.executable, "-m", __name__], capture_output=True, text=True)
-    if done.returncode:
-        raise CicatrixError(f"the benchmark of networks ended with {done.stderr.strip().splitlines()[-1:]}")
-    return [Measurement(*row) for row in json.loads(done.stdout.splitlines()[-1])]
+    return printed_on_one_core("-m", __name__)
 
 
 def measured() -> Iterator[Measurement]:
@@ -236,4 +229,5 @@ def _formula(r: int, rule: Rule, n: float) -> str:
 
 
 if __name__ == "__main__":
-    print(json.dumps(list(measured())))
+    for row in measured():
+        print(json.dumps(row), flush=True)

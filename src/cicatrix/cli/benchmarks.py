@@ -1,10 +1,10 @@
-"""The benchmarks by name: each returns its measurements, ceiling and peers included."""
+"""The benchmarks by name: each gives its measurements, ceiling and peers included."""
 
 from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from importlib import import_module
 from pathlib import Path
 
@@ -65,18 +65,18 @@ def mechanics() -> list[Measurement]:
     return import_module(".bench_mechanics", __package__).mechanics()
 
 
-def laws() -> list[Measurement]:
+def laws() -> Iterator[Measurement]:
     """Stress and tangent of every law per point, on one core, next to NumPy and jaxmat."""
     return import_module(".bench_laws", __package__).laws()
 
 
-def cells() -> list[Measurement]:
+def cells() -> Iterator[Measurement]:
     """Adhesion at 10^6 substrates, bonds at random, and networks of 100 species, next to SciPy and libroadrunner."""
-    cells, networks = (import_module(name, __package__) for name in (".bench_cells", ".bench_networks"))
-    return [*cells.cells(), *networks.networks()]
+    yield from import_module(".bench_cells", __package__).cells()
+    yield from import_module(".bench_networks", __package__).networks()
 
 
-BENCHMARKS: dict[str, Callable[[], list[Measurement]]] = {
+BENCHMARKS: dict[str, Callable[[], Iterable[Measurement]]] = {
     "checkpoint": checkpoint,
     "road2d": road2d,
     "automaton": automaton,

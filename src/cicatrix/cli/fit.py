@@ -37,7 +37,7 @@ def run(args: argparse.Namespace) -> int:
     from ..study.measured import experiment
     from ..study.point_case import PointCase
 
-    bounds = dict(map(_bounds, args.free))
+    bounds = _all_bounds(args.free)
     case = load_case(args.case, args.set)
     if not isinstance(case, PointCase):
         raise InputError(f'{args.case}: kind must be "material-point" for a fit; got "{case.kind}"')
@@ -53,6 +53,15 @@ def run(args: argparse.Namespace) -> int:
     )
     _print(found, folder)
     return 0
+
+
+def _all_bounds(texts: list[str]) -> dict[str, tuple[float, float]]:
+    bounds = {}
+    for key, ends in map(_bounds, texts):
+        if key in bounds:
+            raise InputError(f"--free {key} is given twice: give each key once")
+        bounds[key] = ends
+    return bounds
 
 
 def _bounds(text: str) -> tuple[str, tuple[float, float]]:

@@ -2,11 +2,17 @@
 
 from __future__ import annotations
 
+import json
 import os
+import subprocess
+import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import NamedTuple
+
+from ..core.errors import CicatrixError
 
 
 class Measurement(NamedTuple):
@@ -40,3 +46,21 @@ def one_core() -> Iterator[None]:
         yield
     finally:
         os.sched_setaffinity(0, before)
+
+
+def printed_on_one_core(*arguments: str) -> Iterator[Measurement]:
+    """What Python prints with these arguments, a measurement per line, as it comes: in a process of its own that has one core.
+
+    Raises
+    ------
+    CicatrixError
+        If it ends otherwise than well, with its last line.
+    """
+    with one_core(), tempfile.TemporaryFile("w+") as told:
+        with subprocess.Popen([sys.executable, *arguments], stdout=subprocess.PIPE, stderr=told, text=True) as process:
+            assert process.stdout is not None
+            for line in process.stdout:
+                yield Measurement(*json.loads(line))
+        told.seek(0)
+        if process.returncode:
+            raise CicatrixError(f"the benchmark ended with {told.read().strip().splitlines()[-1:]}")

@@ -78,7 +78,9 @@ def _check_range(law: str, field: dataclasses.Field, value: Any) -> None:
     said, smallest, largest = field.metadata, np.min(value), np.max(value)
     is_inside = smallest > said["low"] if said["is_open"] else smallest >= said["low"]
     if not (is_inside and largest <= said["high"]):
+        unit = "" if said["unit"] == "1" else f" {said['unit']}"
+        found = f"{smallest:g}" if smallest == largest else f"{smallest:g} .. {largest:g}"
         raise InputError(
             f"{law}.{field.name} ({said['symbol']}) must lie in {'(' if said['is_open'] else '['}{said['low']:g}, "
-            f"{said['high']:g}] {said['unit']}; got {smallest:g} .. {largest:g}."
+            f"{said['high']:g}]{unit}; got {found}."
         )

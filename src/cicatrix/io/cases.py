@@ -208,6 +208,8 @@ def _sentence(error: Mapping[str, Any], kind: type[Table]) -> str:
         return _unknown_key(loc, kind)
     if name == "missing":
         return f"{key} is missing"
+    if name == "tuple_type" and isinstance(value, Mapping):
+        return f"{key} must be a list of tables: write [[{key}]]; got [{key}]"
     if name == OUT_OF_RANGE:
         words = context["words"]
     elif name == "literal_error":
@@ -221,9 +223,11 @@ def _unknown_type(key: str, value: Any, tags: str) -> str:
     """Say which types there are where a table names none of them."""
     if not isinstance(value, Mapping):
         return f"{key} must be a table; got {_show(value)}"
-    known = _either([tag.strip("'<>") for tag in tags.split(", ") if tag.strip("'<>")])
+    known = [tag.strip("'<>") for tag in tags.split(", ") if tag.strip("'<>")]
     found = f"got {_show(value['type'])}" if "type" in value else "it is missing"
-    return f"{key}.type must be {known}; {found}"
+    near = difflib.get_close_matches(str(value.get("type")).lower(), known, n=1)
+    hint = f', did you mean "{near[0]}"?' if near else ""
+    return f"{key}.type must be {_either(known)}; {found}{hint}"
 
 
 def _unknown_key(loc: Sequence[str | int], kind: type[Table]) -> str:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array, lax
 
 from ..core.errors import InputError
@@ -104,7 +105,7 @@ class Exact(Places):
     Raises
     ------
     InputError
-        By ``absorb``, when there is no place left; inside compiled code the same sentence as a RuntimeError.
+        By ``absorb``, when there is no place left. Compiled code cannot raise: masses become NaN, and :func:`used_up` tells.
     """
 
     cohorts: int = eqx.field(static=True, default=256)
@@ -117,15 +118,20 @@ class Exact(Places):
         self, law: EnergyMaterial, F: Array, state: Cohorts, survival: Array, mass: Array, natural: Array
     ) -> Cohorts:
         """Take the next place."""
-        sentence = (
-            f"Exact.cohorts ({self.cohorts}) is used up: give it one place per step and one more, or use Recursive."
-        )
-        is_full = jnp.any(state.kept >= self.cohorts)
-        if isinstance(is_full, jax.core.Tracer):
-            mass = eqx.error_if(mass, is_full, sentence)
-        elif is_full:
-            raise InputError(sentence)
+        is_full = state.kept >= self.cohorts
+        if not isinstance(is_full, jax.core.Tracer) and bool(jnp.any(is_full)):
+            raise InputError(
+                f"Exact.cohorts ({self.cohorts}) is used up: give it one place per step and one more, or use Recursive."
+            )
+        survival = jnp.where(is_full, jnp.nan, survival)
         return _put(state, survival, state.kept, mass, natural)._replace(kept=state.kept + 1)
+
+
+def used_up(state: State, more: int = 0) -> int:
+    """Places of an exact memory in a law's state that so many more steps would overfill; 0 where there is none."""
+    parts = jax.tree.leaves(state, is_leaf=lambda part: isinstance(part, Cohorts))
+    memories = [part for part in parts if isinstance(part, Cohorts)]
+    return next((m.masses.shape[-1] for m in memories if np.max(m.kept) + more > m.masses.shape[-1]), 0)
 
 
 class MergedCohorts(Places):

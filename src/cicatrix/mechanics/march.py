@@ -11,7 +11,9 @@ import jax
 import numpy as np
 
 from ..core.compiler import COMPILER
+from ..core.errors import ConvergenceError
 from ..core.newton import NewtonReport
+from ..materials.cohorts import used_up
 from ..materials.material import State
 from ..materials.stepped import Stepped
 from .body import Body
@@ -84,6 +86,12 @@ def stepped(body: Body, moment: Moment, load: Load) -> Body:
 
 
 def _step(body: Body, X: np.ndarray, now: Moment, load: Load, solver: Equilibrium) -> Moment:
+    places = used_up(now.state, 1)
+    if places:
+        raise ConvergenceError(
+            f"law[..].form.cohorts = {places} of the exact form is used up: give it one place for each step asked and two "
+            'more, or use form.type = "recursive".'
+        )
     during = stepped(body, now, load)
     start = None if now.report is None else now.x
     if not body.has_potential:

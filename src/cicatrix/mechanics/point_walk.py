@@ -16,6 +16,7 @@ from jax import Array
 from ..core.compiler import COMPILER
 from ..core.errors import ConvergenceError
 from ..core.units import hours_from_seconds
+from ..materials.cohorts import used_up
 from ..materials.material import EnergyMaterial
 from .point import Control, Instant, Point, control, step, virgin
 
@@ -113,7 +114,7 @@ def walk(
     ConvergenceError
         Where there is no solution within the smallest step: what was asked when, and what was last reached.
     """
-    strider = _Strider(law, by, math.exp(2.0) * 4.0 * tolerance**2)
+    strider = _Strider(law, by, math.exp(2.0) * 4.0 * tolerance**2, len(asked.time) - 1)
     if mark is None:
         first = _row(asked, 0)
         origin = virgin(law, first)
@@ -140,6 +141,7 @@ class _Strider:
     law: EnergyMaterial
     by: Control
     bound: float
+    n_asked: int
 
     def cross(self, mark: Mark, start: Instant, end: Instant) -> Mark:
         point, at, size, largest = mark.point, 0, mark.size, mark.largest
@@ -148,6 +150,9 @@ class _Strider:
         while at < PARTS:
             trial, trodden, error = self._stride(point, start, end, at, size, largest)
             failed = not np.isfinite(error)
+            places = used_up(trial.state) if failed else 0
+            if places:
+                raise _forgetful(places, max(mark.row, 0), self.n_asked)
             if failed and size == 1:
                 raise _stopped(self.by, point, _between(start, end, at + 1))
             if error > self.bound and size > 1:
@@ -210,6 +215,13 @@ def _modulus(law: EnergyMaterial, origin: Point) -> float:
     small = Instant(np.asarray(origin.time), np.asarray(origin.stretch), np.float64(SMALL_SHEAR))
     sheared = _tried(law, control(z="stretch", incompressible=False), origin, small, small, 0.0)[0]
     return float(np.nan_to_num(np.abs(sheared.stress[0, 1]) / SMALL_SHEAR))
+
+
+def _forgetful(places: int, n_done: int, n_asked: int) -> ConvergenceError:
+    return ConvergenceError(
+        f"law[..].form.cohorts = {places} of the exact form is used up after {n_done} of the {n_asked} steps asked: give "
+        f'{2 * n_asked + 2} at least, and more where steps are halved, or form.type = "recursive".'
+    )
 
 
 def _stopped(by: Control, last: Point, asked: Instant) -> ConvergenceError:

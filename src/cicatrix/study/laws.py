@@ -249,12 +249,12 @@ def checked_law(case: NamesALaw) -> EnergyMaterial:
 
 
 def _composed(case: NamesALaw, parts: list[Any], growth: Any) -> EnergyMaterial:
-    growths = [grown for table in case.law if (grown := table.growth_of_fibres())]
-    growths += [growth] if growth else []
+    said = {f"law[{number}].growth": table.growth_of_fibres() for number, table in enumerate(case.law)}
+    growths = {place: grown for place, grown in (said | {"[growth]": growth}).items() if grown is not None}
     if len(growths) > 1:
-        raise InputError("growth must be said once, for the whole tissue")
+        raise InputError(f"growth must be said once, for the whole tissue; found {', '.join(growths)}")
     law = parts[0] if len(parts) == 1 else Sum(tuple(parts))
-    return Growing(law, *growths) if growths else law
+    return Growing(law, *growths.values()) if growths else law
 
 
 def _told(key: str, build: Callable[[], Law]) -> Law:

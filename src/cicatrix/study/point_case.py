@@ -112,8 +112,13 @@ class PointCase(Table):
         law = checked_law(self)
         thickness = self.loading.thickness
         if thickness == "incompressible" and _heeds_mean_stress(self.growth):
-            words = "must not heed the mean stress of incompressible tissue, of which a law knows nothing: leave it out, or give"
+            words = "must not heed the mean stress of incompressible tissue, of which a law knows nothing: give"
             raise fault("growth.homeostatic_kPa", f'{words} loading.plane = "stress" or "strain"')
+        if thickness == "incompressible" and _heeds_volume(self.growth):
+            words = 'follows the elastic change of volume, which loading.plane = "incompressible" does not allow: give'
+            raise fault(
+                "growth", f'by volume {words} loading.plane = "stress" or "strain", and kappa_kPa of a part of the law'
+            )
         if thickness != "incompressible" and not has_bulk_modulus(law):
             word = "loading.z" if thickness == "given" else f'loading.plane = "{thickness}"'
             raise fault("law", f"must bear change of volume for {word}: give kappa_kPa of a part a value above 0")
@@ -122,3 +127,7 @@ class PointCase(Table):
 
 def _heeds_mean_stress(growth: Any) -> bool:
     return getattr(growth, "type", None) == "volume" and growth.homeostatic_kPa is not None
+
+
+def _heeds_volume(growth: Any) -> bool:
+    return getattr(growth, "type", None) == "volume" and growth.homeostatic_kPa is None
