@@ -67,13 +67,13 @@ def test_every_law_of_a_case_file_is_measured():
 
 def test_a_row_is_there_before_the_next_is_measured(tmp_path):
     waits = (
-        "import pathlib, time; print('[\"a\", NaN, \"ns\"]', flush=True)\n"
+        'import pathlib, time; print(\'["a", NaN, "ns"]\', flush=True)\n'
         f"while not pathlib.Path({str(tmp_path / 'go')!r}).exists(): time.sleep(0.01)\n"
-        "print('[\"b\", 2.0, \"ns\", \"note\"]'); raise ValueError('at fault')"
+        'print(\'["b", 2.0, "ns", "note"]\'); raise ValueError(\'at fault\')'
     )
     rows = bench_laws.printed_rows([sys.executable, "-c", waits])
     assert next(rows).what == "a"
     (tmp_path / "go").touch()
     assert next(rows) == ("b", 2.0, "ns", "note")
-    with pytest.raises(CicatrixError, match="ended with .*at fault"):
+    with pytest.raises(CicatrixError, match=r"ended with .*at fault"):
         next(rows)

@@ -434,7 +434,10 @@ class WithHistory(Fibre):
 @pytest.mark.parametrize(
     ("make", "sentence"),
     [
-        (lambda: Constituent(NeoHookean(1.0), 1.2), r"Constituent\.fraction \(phi_0\) must lie in \[0, 1\]; got 1.2\.$"),
+        (
+            lambda: Constituent(NeoHookean(1.0), 1.2),
+            r"Constituent\.fraction \(phi_0\) must lie in \[0, 1\]; got 1.2\.$",
+        ),
         (
             lambda: Constituent(NeoHookean(1.0), 0.5, lifetime=0.0),
             r"Constituent\.lifetime \(T\) must lie in \[1, inf\] s",

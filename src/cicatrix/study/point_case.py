@@ -115,8 +115,10 @@ class PointCase(Table):
             words = "must not heed the mean stress of incompressible tissue, of which a law knows nothing: give"
             raise fault("growth.homeostatic_kPa", f'{words} loading.plane = "stress" or "strain"')
         if thickness == "incompressible" and _heeds_volume(self.growth):
-            words = "follows the elastic change of volume, which loading.plane = \"incompressible\" does not allow: give"
-            raise fault("growth", f'by volume {words} loading.plane = "stress" or "strain", and kappa_kPa of a part of the law')
+            words = 'follows the elastic change of volume, which loading.plane = "incompressible" does not allow: give'
+            raise fault(
+                "growth", f'by volume {words} loading.plane = "stress" or "strain", and kappa_kPa of a part of the law'
+            )
         if thickness != "incompressible" and not has_bulk_modulus(law):
             word = "loading.z" if thickness == "given" else f'loading.plane = "{thickness}"'
             raise fault("law", f"must bear change of volume for {word}: give kappa_kPa of a part a value above 0")
