@@ -16,7 +16,9 @@ from cicatrix.io.progress import Progress
 from cicatrix.materials.compose import Sum
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.neo_hookean import NeoHookean
+from cicatrix.mechanics.point_walk import soft_axes
 from cicatrix.study.laws import law_of
+from cicatrix.study.point import control_of
 
 LAW = """
 kind = "material-point"
@@ -291,6 +293,29 @@ def test_too_much_stress_is_told_and_the_rows_are_kept(case_file, tmp_path, caps
     status = json.loads((tmp_path / "run" / "manifest.json").read_text())["status"]
     assert status["state"] == "failed"
     assert list((tmp_path / "run" / "checkpoint").iterdir())
+
+
+@pytest.mark.parametrize(
+    ("law", "axes"),
+    [
+        ("type='neo-hookean', mu_kPa=0", "x, y, z"),
+        ("type='may-newman', c0_kPa=1, c1=1, c2=1", "x, y, z"),
+        ("type='fibre-distribution', mu_f_kPa=1, orientation={type='single'}", "y, z"),
+        ("type='neo-hookean', mu_kPa=1", ""),
+    ],
+)
+def test_no_stiffness_at_rest_is_seen(law, axes, case_file):
+    settings = [f"law=[{{{law}}}]", "loading.control=stress"]
+    case = load_case(case_file(LAW + LOADING), settings)
+    assert ", ".join(soft_axes(law_of(case), control_of(case.loading))) == axes
+
+
+def test_no_stiffness_at_rest_is_told(case_file, capsys, tmp_path):
+    path = case_file(LAW + LOADING)
+    settings = ["--set", "law.0.mu_kPa=0", "--set", "loading.control=stress", "--set", "loading.x=[0, 1, 1]"]
+    assert main(["run", str(path), *settings, "--out", str(tmp_path / "run")]) == 3
+    words = "The law has no stiffness at rest along x, y, z: add a part that has, such as neo-hookean."
+    assert words in capsys.readouterr().err
 
 
 @pytest.mark.slow  # compiles for half a minute

@@ -25,6 +25,7 @@ QUIET = 0.125  # share of the bound below which a step of twice the size is trie
 SMALLEST_STRAIN = 0.01  # stresses below so much of the first shear modulus are not resolved relative to themselves
 SMALL_SHEAR = 1e-3
 TOLERANCE = 1e-4
+NO_STIFFNESS = 1e-9  # kPa: less is none
 
 
 @dataclass(frozen=True)
@@ -154,7 +155,7 @@ class _Strider:
             if places:
                 raise _forgetful(places, max(mark.row, 0), self.n_asked)
             if failed and size == 1:
-                raise _stopped(self.by, point, _between(start, end, at + 1))
+                raise _stopped(self.law, self.by, point, _between(start, end, at + 1))
             if error > self.bound and size > 1:
                 size //= 2
                 continue
@@ -224,7 +225,7 @@ def _forgetful(places: int, n_done: int, n_asked: int) -> ConvergenceError:
     )
 
 
-def _stopped(by: Control, last: Point, asked: Instant) -> ConvergenceError:
+def _stopped(law: EnergyMaterial, by: Control, last: Point, asked: Instant) -> ConvergenceError:
     names = [("sigma" if stress else "lambda") + f"_{axis}" for stress, axis in zip(by.by_stress, "xyz")]
     units = [" kPa" if stress else "" for stress in by.by_stress]
     wanted = ", ".join(f"{n} = {v:.4g}{u}" for n, v, u in zip(names, asked.value, units))
@@ -235,8 +236,35 @@ def _stopped(by: Control, last: Point, asked: Instant) -> ConvergenceError:
     when, before = (f"{hours_from_seconds(float(time)):.6g} h" for time in (asked.time, last.time))
     return ConvergenceError(
         f"No state of the law was found at {when} with {wanted}; last reached, at {before}: stretches {stretches}, "
-        f"stresses {stresses} kPa along x, y, z. Ask for less load, or give a law that carries it."
+        f"stresses {stresses} kPa along x, y, z. {_advice(law, by)}"
     )
+
+
+def _advice(law: EnergyMaterial, by: Control) -> str:
+    soft = soft_axes(law, by)
+    if soft:
+        return f"The law has no stiffness at rest along {', '.join(soft)}: add a part that has, such as neo-hookean."
+    return "Ask for less load, or give a law that carries it."
+
+
+def soft_axes(law: EnergyMaterial, by: Control) -> str:
+    """Axes of x, y, z whose stretches are free to change together at no cost where the law is at rest."""
+    free, volume = np.diag(~np.asarray(by.by_stress)).astype(float), np.full((1, 3), float(by.incompressible))
+    _, sizes, rows = np.linalg.svd(np.vstack([free, volume]))
+    allowed = rows[sizes < NO_STIFFNESS]
+    stiffness, ways = np.linalg.eigh(allowed @ np.asarray(_stiffness_at_rest(law)) @ allowed.T)
+    soft = ways[:, np.abs(stiffness) < NO_STIFFNESS].T @ allowed
+    return "".join(axis for axis, parts in zip("xyz", soft.T) if np.any(np.abs(parts) > SMALL_SHEAR))
+
+
+@partial(jax.jit, compiler_options=COMPILER)
+def _stiffness_at_rest(law: EnergyMaterial) -> Array:
+    """Second derivatives of the virgin law's energy by the stretches along x, y, z (3, 3) [kPa]."""
+    state = law.initial_state(())
+    _, along = jax.linearize(
+        lambda F: jnp.diagonal(law.stress(F, state)), jnp.cbrt(law.volume_at_rest(state)) * jnp.eye(3)
+    )
+    return jax.vmap(lambda stretch: along(jnp.diag(stretch)))(jnp.eye(3))
 
 
 def _row(stacked: Any, row: int) -> Any:
