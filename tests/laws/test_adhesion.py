@@ -260,7 +260,7 @@ def test_parameters_may_be_fields():
 
 
 def test_what_is_refused():
-    with pytest.raises(InputError, match=r"Bell.k_off0 \(k_off0\) must lie in \[1e-12, inf\] 1/s; got 0 .. 0"):
+    with pytest.raises(InputError, match=r"Bell.k_off0 \(k_off0\) must lie in \[1e-12, inf\] 1/s; got 0"):
         Bell(0.01, 0.0)
     with pytest.raises(InputError, match='must be "work" or "stored"; got "both"'):
         Adhesion(BELL, COLLAGEN, CAO, 400.0, "both")

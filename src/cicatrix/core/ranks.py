@@ -115,8 +115,10 @@ class MpiRanks(Ranks):
         except (InvariantError, ConvergenceError, KeyboardInterrupt):  # on all ranks alike
             raise
         except BaseException:
-            traceback.print_exc()
-            print(f"cicatrix: rank {self.rank} failed, so all {self.size} are ended", file=sys.stderr, flush=True)
+            ended = f"cicatrix: rank {self.rank} failed, so all {self.size} are ended"
+            print(
+                f"{traceback.format_exc()}{ended}", file=sys.stderr, flush=True
+            )  # at once: the launcher may lose what follows
             self._comm.Abort(FAILED)
 
     @contextmanager
