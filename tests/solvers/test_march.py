@@ -150,7 +150,8 @@ def test_viscous_tissue_sags_on_and_stops_at_its_law():
     assert heat[-1] > 0.0
 
 
-@pytest.mark.parametrize("name", ["growing", pytest.param("viscous fibres", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["growing", "viscous fibres"])
 def test_newton_converges_fast_under_gravity(name):
     """The consistent tangent: few iterations in a step of any length, symmetric or not."""
     body = cube(LAWS[name], lambda points: points[:, 1] > 9.9)
