@@ -85,7 +85,11 @@ def test_fit_keeps_the_weighted_mean(space):
 
 
 def test_there_and_back_keeps_element_means(space, sites, points):
-    """W on the mesh -> lattice -> mean over the sites of each element; what is left is the sites' quadrature, O(h)."""
+    """W on the mesh -> lattice -> mean over the sites of each element; what is left is the sites' quadrature, O(h).
+
+    A line of sites on a side counts for either element, as rounding has it: half a pitch along a perimeter of 7 mm, of an area
+    of 2 mm^2, by how much W differs there from its mean.
+    """
     at_qp = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
     W = 1 + np.sin(at_qp[..., 0]) * np.cos(at_qp[..., 1] / 2) ** 2
     areas = measures(space, space.positions)
@@ -93,7 +97,7 @@ def test_there_and_back_keeps_element_means(space, sites, points):
     held = sites.element != OUTSIDE
     counts = sites.count(np.ones(len(points), bool))
     back = np.bincount(sites.element[held], at_sites[held], space.n_elements) / counts
-    np.testing.assert_allclose(back, np.sum(W * areas, axis=1) / areas.sum(axis=1), rtol=0.01)
+    np.testing.assert_allclose(back, np.sum(W * areas, axis=1) / areas.sum(axis=1), atol=0.5 * PITCH * 7.0 / 2.0 * 0.3)
 
 
 def test_a_bent_edge_is_shared(space, points):
