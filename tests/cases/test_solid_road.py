@@ -21,6 +21,8 @@ from cicatrix.io.results import read_results
 from cicatrix.study import plans
 from cicatrix.study.lumpectomy import plan
 
+pytestmark = pytest.mark.xdist_group("solid road")  # healed once
+
 CASE = """
 kind = "lumpectomy"
 dimension = 3

@@ -13,6 +13,8 @@ from cicatrix.outcome import closure
 from cicatrix.study.case import Coupling, Healing, Image, LumpectomyCase, Mesh, Resection, Run
 from cicatrix.study.lumpectomy import equilibrium_of, healing_cycle, plan
 
+pytestmark = pytest.mark.xdist_group("cycle")  # compiled once
+
 N_CYCLES = 3
 
 

@@ -12,6 +12,8 @@ from cicatrix.core.compiler import COMPILER
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.space import tabulate
 
+pytestmark = pytest.mark.xdist_group("manufactured")  # measured once
+
 LEVELS = (8, 16)  # elements along the unit square
 
 

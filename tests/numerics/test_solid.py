@@ -25,6 +25,8 @@ from cicatrix.mechanics.elements import (
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.space import SolidSpace, tabulate
 
+pytestmark = pytest.mark.xdist_group("solid")  # measured once
+
 SIDE = 20.0  # mm
 
 
