@@ -100,6 +100,11 @@ FASTEST void contract_section(double* data, const int32_t* slots, const double* 
     contract_all<7, 2>(data, slots, slopes, A, columns, rows, n, n_points, n_outer, b);
 }
 
+FASTEST void contract_sheet(double* data, const int32_t* slots, const double* slopes, const double* A, const double* columns,
+                            const double* rows, size_t n, size_t n_points, size_t n_outer, size_t b) {
+    contract_all<4, 2>(data, slots, slopes, A, columns, rows, n, n_points, n_outer, b);
+}
+
 // block (i, j) of a matrix in compressed rows: left_i block right_j
 template <size_t B>
 INLINE void turn_all(double* data, const int32_t* starts, const int32_t* columns, const double* left, const double* right,
@@ -148,14 +153,14 @@ void add_blocks(Data data, Slots slots, Array<3> matrices) {
 void add_contracted(Data data, Slots slots, Array<4> slopes, Array<6> A, Array<3> columns, Array<3> rows) {
     check(data, slots);
     const size_t n = slots.shape(0), a = slots.shape(1), d = slopes.shape(3), q = slopes.shape(1), o = rows.shape(1);
-    if (!((a == 10 && d == 3) || (a == 7 && d == 2)))
-        throw nb::value_error("elements have 10 nodes and 3 axes, or 7 nodes and 2 axes");
+    if (!((a == 10 && d == 3) || (a == 7 && d == 2) || (a == 4 && d == 2)))
+        throw nb::value_error("elements have 10 nodes and 3 axes, or 7 or 4 nodes and 2 axes");
     if (slopes.shape(0) != n || slopes.shape(2) != a || A.size() != n * q * 9 * d * d || columns.size() != n * o * 3 * a ||
         rows.size() != columns.size())
         throw nb::value_error("the arrays do not fit together");
     nb::gil_scoped_release release;
-    (a == 10 ? contract_solid : contract_section)(data.data(), slots.data(), slopes.data(), A.data(), columns.data(),
-                                                  rows.data(), n, q, o, data.shape(1));
+    (a == 10 ? contract_solid : a == 7 ? contract_section : contract_sheet)(
+        data.data(), slots.data(), slopes.data(), A.data(), columns.data(), rows.data(), n, q, o, data.shape(1));
 }
 
 void turn_blocks(Data data, Numbers starts, Numbers columns, Array<3> left, Array<3> right) {

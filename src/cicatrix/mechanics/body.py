@@ -35,7 +35,7 @@ from .elements import (
     tangent,
 )
 from .pattern import Pattern
-from .space import SolidSpace, Space
+from .space import AnySpace, Space
 from .supports import Supports
 
 START_VOLUME = 0.01  # how far from rest the volume ratio of a starting shape is believed
@@ -63,7 +63,7 @@ class Frame:
         summed over those of all ranks. Shared bodies are made by :mod:`.division`.
     """
 
-    space: Space | SolidSpace
+    space: AnySpace
     skin_facets: np.ndarray
     fixed_nodes: np.ndarray
     sliding_nodes: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
@@ -384,7 +384,7 @@ def _part(filling, piece: slice, n: int):
 class _Tables:
     """Static argument of the compiled functions: equal for equal spaces."""
 
-    def __init__(self, space: Space | SolidSpace) -> None:
+    def __init__(self, space: AnySpace) -> None:
         self.bulk, self.edge, self._kind = space.table, space.facet_table, space.kind
 
     def __hash__(self) -> int:
@@ -394,18 +394,18 @@ class _Tables:
         return isinstance(other, _Tables) and other._kind == self._kind
 
 
-def measures(space: Space | SolidSpace, X: np.ndarray) -> np.ndarray:
+def measures(space: AnySpace, X: np.ndarray) -> np.ndarray:
     """Volume (a section's area) of each quadrature point: X (n_nodes, 3) [mm] -> (n_elements, n_qp) [mm^3, mm^2]."""
     return space.table.weight * np.abs(local_volumes(space, X))
 
 
-def local_volumes(space: Space | SolidSpace, X: np.ndarray) -> np.ndarray:
+def local_volumes(space: AnySpace, X: np.ndarray) -> np.ndarray:
     """Signed volume (a section's area) over that of the reference element (n_elements, n_qp) [mm^3, mm^2]."""
     axes = space.table.gradient.shape[-1]
     return np.linalg.det(np.einsum("eai,qab->eqib", X[space.element_nodes][..., :axes], space.table.gradient))
 
 
-def deformation_gradients(space: Space | SolidSpace, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+def deformation_gradients(space: AnySpace, X: np.ndarray, x: np.ndarray) -> np.ndarray:
     """F = dx/dX at quadrature points: X, x (n_nodes, 3) [mm] -> (n_elements, n_qp, 3, 3) [1]."""
     cells = space.element_nodes
     return np.asarray(_gradients(_Tables(space), X[cells], x[cells]))

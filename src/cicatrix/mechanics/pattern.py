@@ -56,6 +56,10 @@ class Pattern:
         arrays = [np.ascontiguousarray(array) for array in factors]
         add_contracted(data, self._slots[kind][first : first + len(arrays[0])], *arrays)
 
+    def add_diagonal(self, data: np.ndarray, blocks: np.ndarray) -> None:
+        """Add blocks (n_nodes solved for, components, components) on the diagonal."""
+        data[self._diagonal] += blocks
+
     def matrix(self, data: np.ndarray, diagonal: np.ndarray) -> sp.bsr_array:
         """Make a matrix of the blocks and a diagonal (n_dofs,) that is added."""
         k = np.arange(self._components)

@@ -16,7 +16,7 @@ import scipy.sparse as sp
 from ..core.native import turn_blocks
 from .body import Body
 from .elements import NORMAL
-from .space import Space
+from .space import AnySpace
 
 BELIEVED = (0.3, 3.0)  # volume ratio about a node within which its deformation is carried along
 
@@ -39,10 +39,10 @@ def nodal_deformation(body: Body, X: np.ndarray, x: np.ndarray) -> np.ndarray:
     return mean
 
 
-def _centre_map(space, x: np.ndarray) -> np.ndarray:
+def _centre_map(space: AnySpace, x: np.ndarray) -> np.ndarray:
     """Derivative of position by the local axes, and a section's normal, at the centres: x (n, a, 3) -> (n, 3, 3) [mm]."""
     columns = np.einsum("eai,ab->eib", x, space.table.gradient.mean(axis=0))
-    if not isinstance(space, Space):
+    if space.n_axes == 3:
         return columns
     return np.concatenate([columns, np.broadcast_to(NORMAL[:, None], (len(columns), 3, 1))], axis=2)
 

@@ -1,4 +1,4 @@
-"""Finite-element spaces: nodes, elements and shape functions of a plane section and of a solid."""
+"""Finite-element spaces: nodes, elements and shape functions of a plane section, of a solid and of a sheet."""
 
 from __future__ import annotations
 
@@ -114,6 +114,16 @@ class Space:
         """Bubble node of each triangle (n_elements,)."""
         return self._dofs.interior_dofs[0]
 
+    @cached_property
+    def corner_table(self) -> Table:
+        """Shape functions that are linear between the corners, at the same quadrature points."""
+        return tabulate(skfem.ElementTriP1(), *get_quadrature(skfem.MeshTri.elem, self.quadrature_order))
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Nodes at the corners of each triangle (n_elements, 3)."""
+        return self.element_nodes[:, :3]
+
     @property
     def n_axes(self) -> int:
         """Axes that the elements lie in."""
@@ -195,6 +205,16 @@ class SolidSpace:
         """Nodes of boundary faces by their numbers (n,) -> (n, 6)."""
         return self.boundary[facets]
 
+    @cached_property
+    def corner_table(self) -> Table:
+        """Shape functions that are linear between the corners, at the same quadrature points."""
+        return tabulate(skfem.ElementTetP1(), *get_quadrature(skfem.MeshTet.elem, self.quadrature_order))
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Nodes at the corners of each tetrahedron (n_elements, 4)."""
+        return self.element_nodes[:, :4]
+
     @property
     def n_axes(self) -> int:
         """Axes that the elements lie in."""
@@ -214,3 +234,96 @@ class SolidSpace:
     def neighbours(self) -> np.ndarray:
         """Elements on both sides of each inner face (2, n_faces)."""
         return neighbours(self.element_nodes)
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """Flat sheet: bilinear quadrilaterals, for tissue whose law keeps its own volume by its thickness, so that nothing locks.
+
+    Parameters
+    ----------
+    positions : (n_nodes, 3) array [mm]
+        Where the mesh has its nodes; the third is 0.
+    element_nodes : (n_elements, 4) int array
+        Corners, one after the other around each quadrilateral.
+    quadrature_order : int
+        Polynomial degree along each side that the rule is exact for.
+    """
+
+    positions: np.ndarray
+    element_nodes: np.ndarray
+    quadrature_order: int = 3
+
+    @property
+    def kind(self) -> tuple:
+        """Equal for spaces with equal tables."""
+        return "sheet", self.quadrature_order
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return len(self.positions)
+
+    @property
+    def n_elements(self) -> int:
+        """Number of quadrilaterals."""
+        return len(self.element_nodes)
+
+    @cached_property
+    def table(self) -> Table:
+        """Shape functions of the quadrilateral at its quadrature points."""
+        return tabulate(skfem.ElementQuad1(), *get_quadrature(skfem.MeshQuad.elem, self.quadrature_order))
+
+    @property
+    def corner_table(self) -> Table:
+        """The same: all nodes are corners."""
+        return self.table
+
+    @property
+    def corners(self) -> np.ndarray:
+        """Nodes of each quadrilateral (n_elements, 4)."""
+        return self.element_nodes
+
+    @cached_property
+    def facet_table(self) -> Table:
+        """Shape functions of a boundary edge (vertex, vertex) at its quadrature points."""
+        return tabulate(skfem.ElementLineP1(), *get_quadrature(skfem.MeshLine.elem, self.quadrature_order))
+
+    @cached_property
+    def boundary(self) -> np.ndarray:
+        """Nodes of the boundary edges (n_edges, 2)."""
+        sides = np.sort(self.element_nodes[:, [[0, 1], [1, 2], [2, 3], [3, 0]]].reshape(-1, 2), axis=1)
+        edges, count = np.unique(sides, axis=0, return_counts=True)
+        return edges[count == 1]
+
+    def facet_nodes(self, facets: np.ndarray) -> np.ndarray:
+        """Nodes of boundary edges by their numbers (n,) -> (n, 2)."""
+        return self.boundary[facets]
+
+    @property
+    def n_axes(self) -> int:
+        """Axes that the elements lie in."""
+        return 2
+
+    @property
+    def shape_nodes(self) -> np.ndarray:
+        """Nodes at which each quadrilateral is (n_elements, 4): all of them."""
+        return self.element_nodes
+
+    @property
+    def n_shape_nodes(self) -> int:
+        """Number of nodes that are places."""
+        return self.n_nodes
+
+    @cached_property
+    def neighbours(self) -> np.ndarray:
+        """Elements on both sides of each inner edge (2, n_edges)."""
+        sides = np.sort(self.element_nodes[:, [[0, 1], [1, 2], [2, 3], [3, 0]]].reshape(-1, 2), axis=1)
+        owner = np.repeat(np.arange(self.n_elements), 4)
+        order = np.lexsort(sides.T)
+        sides, owner = sides[order], owner[order]
+        twice = np.flatnonzero((sides[1:] == sides[:-1]).all(axis=1))
+        return np.stack([owner[twice], owner[twice + 1]])
+
+
+AnySpace = Space | SolidSpace | Sheet
