@@ -8,6 +8,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.nn import sigmoid
 
 from ..core.errors import InputError
 from ..core.law import Law, param
@@ -66,6 +67,40 @@ class TractionSignal(_WithoutStates):
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
         """H (...)."""
         return _saturated(traction - self.threshold, self.K)
+
+
+class Unfelt(_WithoutStates):
+    """No mechanosensing: H = 0."""
+
+    def value(self, y: Array, traction: Array, strain: Array) -> Array:
+        """0 (...)."""
+        return jnp.zeros_like(strain)
+
+
+class LogisticSignal(_WithoutStates):
+    r"""Elastic change of area (of volume, in a solid) that switches cells on, :math:`H = 1 / (1 + e^{-\gamma (\theta - \theta_{ref})})`.
+
+    Source: the group's wound models (docs of papers/circular-wound); the sign in the exponent matters: one published code has a
+    plus there and is always on. Below ``least`` it is 0.
+
+    Parameters
+    ----------
+    theta_ref : float or (...) array [1]
+        Area stretch at which H is one half; the strain felt is :math:`\theta - 1`.
+    gamma : float or (...) array [1]
+        How steep.
+    least : float or (...) array [1]
+        Smallest H that counts.
+    """
+
+    theta_ref: float | Array = param("1", "theta_ref", above=0.0, default=2.0)
+    gamma: float | Array = param("1", "gamma", low=0.0, default=5.0)
+    least: float | Array = param("1", "H_min", low=0.0, high=1.0, default=0.002)
+
+    def value(self, y: Array, traction: Array, strain: Array) -> Array:
+        """H (...)."""
+        H = sigmoid(self.gamma * (1.0 + strain - self.theta_ref))
+        return jnp.where(H < self.least, 0.0, H)
 
 
 class StrainSignal(_WithoutStates):

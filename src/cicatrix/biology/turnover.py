@@ -72,15 +72,19 @@ class Turnover(Law):
     def rates(self, has: Contents, signal: Array) -> Contents:
         """Rates [1/s] of what there is (...) [1] under a signal H (...) [1]; compiled for any shape, differentiable."""
         rho, c, m_f = has
-        growing = self.p_f + self.p_f_c * c / (self.K_f_c + c) + self.p_f_t * signal
         dividing = self.p_rho + self.p_rho_c * c / (self.K_rho_c + c) + self.p_rho_t * signal
         return Contents(
             rho=dividing * (1.0 - rho / self.K_rho_rho) * rho - self.d_rho * rho + self.x_rho * (1.0 - rho),
             c=(self.p_c * c + self.p_c_t * signal) * rho / (self.K_c_c + c)
             - self.d_c * c
             + self.x_c * (self.c_phys - c),
-            m_f=growing * rho / (self.K_f_rho + m_f) - (self.d_f + self.d_f_rho_c * rho * c) * m_f,
+            m_f=self.deposition(has, signal) - (self.d_f + self.d_f_rho_c * rho * c) * m_f,
         )
+
+    def deposition(self, has: Contents, signal: Array) -> Array:
+        """Production of collagen alone (...) [1/s]."""
+        making = self.p_f + self.p_f_c * has.c / (self.K_f_c + has.c) + self.p_f_t * signal
+        return making * has.rho / (self.K_f_rho + has.m_f)
 
 
 class Contents(NamedTuple):

@@ -1,0 +1,320 @@
+"""Healing by fields: cells, cytokine and collagen on a body that they pull at, one implicit step after another."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from ..core.bdf import Formula, formula, next_step
+from ..core.errors import ConvergenceError
+from ..core.linear import LinearSolver
+from ..core.units import hours_from_seconds
+from ..mechanics.body import Body
+from ..mechanics.equilibrium import Equilibrium
+from .scarring import Local, Scarring, advanced, tidied, tissue
+from .transport import Flow, Mobility, Transport, factor
+
+MOST_ITERATIONS = 25  # of a step; one that is not done then is cut
+POOR = 0.25  # of the change before: iterations that bring less have their matrices made anew
+CUT = 0.25  # of a step that finds no solution
+KEPT = 3  # states that a step may look back to
+
+
+class WoundState(NamedTuple):
+    """Where a wound stands."""
+
+    x: np.ndarray
+    """Positions (n_nodes, 3) [mm]."""
+    fields: np.ndarray
+    """Cells and cytokine at the carriers (n, 2) [1], over those of healthy tissue and a largest amount."""
+    local: Local
+    """At quadrature points (n_elements, n_qp)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A wound at an instant, and what the next step looks back to.
+
+    A checkpoint is this: the states that follow depend on nothing else.
+    """
+
+    past: tuple[WoundState, ...]
+    """States, the latest first."""
+    times: tuple[float, ...]
+    """Theirs [s]."""
+    step: float
+    """To try next [s]."""
+    taken: int = 0
+    """Steps."""
+    rejected: int = 0
+    """Steps that were too long for their error, or had no solution."""
+    iterations: int = 0
+    """Of the last step."""
+    last: float = 0.0
+    """Length of the last step [s]."""
+
+    @property
+    def now(self) -> WoundState:
+        """The latest state."""
+        return self.past[0]
+
+    @property
+    def time(self) -> float:
+        """Of the latest state [s]."""
+        return self.times[0]
+
+
+class Tolerance(NamedTuple):
+    """How exactly a wound is followed."""
+
+    time: float = 1e-3
+    """Largest local error of a step, in densities and permanent stretches [1]."""
+    iteration: float = 1e-5
+    """Largest change in the last iteration of a step: densities [1], positions over the size of the body."""
+    shortest: float = 1e-3
+    """Step below which it gives up [s]."""
+
+
+class _NoSolution(Exception):
+    """A step has none, or it was not found; the text says why."""
+
+
+@dataclass(eq=False)
+class Wound:
+    """Solver of healing by fields.
+
+    In each step mechanics, local states and transport take turns, each at the others' latest values, until nothing changes:
+    the solution is that of the step fully implicit in all of them. Steps are of second order (:mod:`..core.bdf`), plain
+    implicit Euler where else something would become negative.
+
+    Parameters
+    ----------
+    body : Body
+        Space, supports, skin, density; its law is put in its place.
+    X : (n_nodes, 3) array [mm]
+        Reference positions.
+    gravity : (3,) array [mm/s^2]
+        That acts on it.
+    scarring : Scarring
+        What happens at a point.
+    mobility : Mobility
+        How cells and cytokine move.
+    transport : Transport
+        Where they are.
+    tolerance : Tolerance
+        How exactly.
+    is_coupled : bool
+        Whether the body moves; if not, strain is that of the first equilibrium for good.
+    """
+
+    body: Body
+    X: np.ndarray
+    gravity: np.ndarray
+    scarring: Scarring
+    mobility: Mobility
+    transport: Transport
+    tolerance: Tolerance = Tolerance()
+    is_coupled: bool = True
+    factorizations: int = 0
+    _mechanics: LinearSolver = field(default_factory=LinearSolver)
+    _matrix: object = None
+
+    def start(self, fields: np.ndarray, local: Local, first_step: float, time: float = 0.0) -> Course:
+        """The wound in equilibrium with what its cells pull: fields (n, 2), local states and a first step [s].
+
+        Raises
+        ------
+        ConvergenceError
+            Where it finds no equilibrium.
+        """
+        body = self._tissue(local, fields)
+        x, report = Equilibrium(relative_tolerance=1e-9).loaded(body, self.X, self.gravity)
+        self.factorizations += 1
+        state = WoundState(x, fields, jax.tree.map(np.asarray, local))
+        return Course((state,), (time,), first_step, iterations=report.iterations)
+
+    def follow(self, course: Course, until: float) -> Iterator[Course]:
+        """Go on to a time [s], which the last step meets; yields after every step.
+
+        Raises
+        ------
+        ConvergenceError
+            Where steps become too short; what was yielded last is good.
+        """
+        while course.time < until * (1.0 - 1e-12):
+            course = self.step(course, until)
+            yield course
+
+    def step(self, course: Course, until: float) -> Course:
+        """One step, as long as its error allows."""
+        left, why = until - course.time, "its error was too large"
+        h = _fitted(course.step, left)
+        while True:
+            if h < min(self.tolerance.shortest, left):
+                raise self._failure(course, h, why)
+            try:
+                state, error, used, iterations = self._tried(course, h)
+            except _NoSolution as found:
+                why, h, course = str(found), CUT * h, replace(course, rejected=course.rejected + 1)
+                self._forget_matrix()
+                continue
+            proposed = next_step(h, error, used.order)
+            if error <= 1.0:
+                break
+            why, h, course = "its error was too large", proposed, replace(course, rejected=course.rejected + 1)
+        return Course(
+            (state, *course.past)[:KEPT],
+            (course.time + h, *course.times)[:KEPT],
+            proposed,
+            course.taken + 1,
+            course.rejected,
+            iterations,
+            h,
+        )
+
+    def forget(self) -> None:
+        """Let all matrices go: what follows depends on the course alone."""
+        self._mechanics = LinearSolver()
+        self._forget_matrix()
+
+    def _forget_matrix(self) -> None:
+        self._matrix = None
+
+    def _tried(self, course: Course, h: float) -> tuple[WoundState, float, Formula, int]:
+        """A step of length h: its end, its local error over the tolerance, and the formula that it took."""
+        ages = [course.time - t for t in course.times]
+        used = formula(h, ages)
+        start = _mixed(used.start, course.past)
+        if not self._is_sound(start):
+            used = formula(h, ages, damped=True)
+            start = _mixed(used.start, course.past)
+        guess = _mixed(used.guess, course.past)
+        guess = guess if self._is_sound(guess) else course.now
+        end, iterations = self._solved(start, guess, used.share * h)
+        lowest = float(end.fields.min())
+        if lowest < -self.tolerance.iteration:
+            what = ("cells", "cytokine")[int(np.argmin(end.fields.min(axis=0)))]
+            raise _NoSolution(f"{what} fell below 0, to {lowest:.3g}")
+        error = used.error * _distance(end, guess) / self.tolerance.time if used.error else 0.0
+        return end, error, used, iterations
+
+    def _solved(self, start: WoundState, guess: WoundState, dt: float) -> tuple[WoundState, int]:
+        """Implicit Euler step dt [s]: mechanics, local states and transport in turn until nothing changes."""
+        now, flow_factor, before = guess, None, np.inf
+        size = float(np.ptp(self.X, axis=0).max())
+        for n in range(1, MOST_ITERATIONS + 1):
+            F = self.body.law_gradient(self.X, now.x)
+            local, signal = self._local(F, now, start.local, dt)
+            flow = self._flow(F, signal, local)
+            try:
+                if flow_factor is None:
+                    flow_factor = factor(flow.tangent(now.fields, dt))
+                    self.factorizations += 1
+                fields = now.fields.copy()
+                wrong = flow.residual(now.fields, start.fields, dt)[self.transport.free]
+                fields[self.transport.free] -= flow_factor.solve(wrong.ravel()).reshape(-1, 2)
+                x = self._balanced(now.x, local, fields) if self.is_coupled else now.x
+            except FloatingPointError as error:
+                raise _NoSolution(str(error)) from error
+            change = max(
+                float(np.abs(fields - now.fields).max()),
+                float(np.abs(x - now.x).max()) / size,
+                _local_distance(local, now.local) if n > 1 else 0.0,
+            )
+            if not np.isfinite(change):
+                raise _NoSolution("it led to what is no number")
+            now = WoundState(x, fields, local)
+            if n > 1 and change <= self.tolerance.iteration:
+                return now, n
+            if n > 1 and change > POOR * before:
+                self._forget_matrix()
+                flow_factor = None
+            before = change
+        raise _NoSolution(f"{MOST_ITERATIONS} iterations did not settle it")
+
+    def _local(self, F: np.ndarray, now: WoundState, start: Local, dt: float) -> tuple[Local, np.ndarray]:
+        rho, c = (self.transport.at_points(values) for values in now.fields.T)
+        local, signal = advanced(self.scarring, F, rho, c, start, now.local, dt)
+        return jax.tree.map(np.asarray, local), np.asarray(signal)
+
+    def _flow(self, F: np.ndarray, signal: np.ndarray, local: Local) -> Flow:
+        on = self.transport
+        collagen = on.at_carriers(local.phi) if self.mobility.D_rho_phi else np.zeros(on.n)
+        return Flow(on, self.mobility, self.scarring.turnover, F, on.at_carriers(signal), collagen)
+
+    def _balanced(self, x: np.ndarray, local: Local, fields: np.ndarray) -> np.ndarray:
+        """Positions after one step towards equilibrium, by a matrix that is kept as long as it serves."""
+        body = self._tissue(local, fields)
+        in_plane = self.transport.space.n_axes == 2
+        supports = body.frame.supports(in_plane)
+        if self._matrix is None:
+            matrix, _ = body.linearised(self.X, x, body.dilation(self.X, x), in_plane=in_plane)
+            self._matrix = supports.matrix(matrix)
+            self._mechanics.factor(self._matrix)
+            self.factorizations += 1
+        forces = supports.unknowns(body.residual(self.X, x, self.gravity))
+        moved = self._mechanics.solve(self._matrix, -forces, 1e-3)
+        return x + supports.positions(moved, np.zeros_like(x))
+
+    def _tissue(self, local: Local, fields: np.ndarray) -> Body:
+        rho, c = (self.transport.at_points(values) for values in fields.T)
+        return replace(self.body, law=tissue(self.scarring, local, rho, c))
+
+    def tissue(self, state: WoundState) -> Body:
+        """The body as it is."""
+        return self._tissue(state.local, state.fields)
+
+    def signal(self, state: WoundState) -> np.ndarray:
+        """H at quadrature points (n_elements, n_qp) [1]."""
+        F = self.body.law_gradient(self.X, state.x)
+        return np.asarray(self.scarring.signal(F, state.local))
+
+    def _is_sound(self, state: WoundState) -> bool:
+        """Whether nothing is negative that must not be, beyond what iterations leave open."""
+        least = -self.tolerance.iteration
+        has = state.local
+        return bool(
+            state.fields.min() >= least
+            and has.phi.min() >= least
+            and has.stretch.min() > 0.0
+            and has.spread.min() >= least
+        )
+
+    def _failure(self, course: Course, h: float, why: str) -> ConvergenceError:
+        volume = np.linalg.det(self.body.law_gradient(self.X, course.now.x))
+        element = int(volume.min(axis=1).argmin())
+        place = ", ".join(f"{v:.4g}" for v in self.X[self.transport.space.corners[element]].mean(axis=0))
+        return ConvergenceError(
+            f"The wound could not be followed beyond {hours_from_seconds(course.time):.6g} h: a step of {h:.3g} s was still too "
+            f"long, for {why}; tissue is most compressed about ({place}) mm, to {volume.min():.3g} of its volume or area.",
+            [f"{course.taken} steps done, {course.rejected} cut"],
+        )
+
+
+def _fitted(step: float, left: float) -> float:
+    """A step that does not leave a sliver before the end."""
+    if step >= left:
+        return left
+    return 0.5 * left if step > 0.5 * left else step
+
+
+def _mixed(weights: Sequence[float], past: Sequence[WoundState]) -> WoundState:
+    """Weighted sum of states."""
+    if len(weights) == 1:
+        return past[0]
+    mix = jax.tree.map(lambda *leaves: sum(w * leaf for w, leaf in zip(weights, leaves)), *past[: len(weights)])
+    return mix._replace(local=jax.tree.map(np.asarray, tidied(mix.local)))
+
+
+def _distance(end: WoundState, guess: WoundState) -> float:
+    """Largest difference of what has a rate."""
+    return max(float(np.abs(end.fields - guess.fields).max()), _local_distance(end.local, guess.local))
+
+
+def _local_distance(one: Local, other: Local) -> float:
+    pairs = ((one.phi, other.phi), (one.stretch, other.stretch), (one.spread, other.spread), (one.axes, other.axes))
+    return max(float(np.abs(a - b).max()) for a, b in pairs)
