@@ -51,7 +51,7 @@ max_weeks = 52
 """
 PHANTOM = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n'
 
-KINDS = '"lumpectomy", "automaton", "equilibrium", "material-point", "adhesion", "signalling" or "tissue-cell"'
+KINDS = '"lumpectomy", "automaton", "equilibrium", "material-point", "adhesion", "signalling", "tissue-cell" or "wound"'
 
 
 @pytest.fixture

@@ -78,10 +78,12 @@ class Unfelt(_WithoutStates):
 
 
 class LogisticSignal(_WithoutStates):
-    r"""Elastic change of area (of volume, in a solid) that switches cells on, :math:`H = 1 / (1 + e^{-\gamma (\theta - \theta_{ref})})`.
+    r"""Elastic stretch of area, of volume in a solid, that switches cells on.
 
-    Source: the group's wound models (docs of papers/circular-wound); the sign in the exponent matters: one published code has a
-    plus there and is always on. Below ``least`` it is 0.
+    .. math:: H = 1 / (1 + e^{-\gamma (\theta - \theta_{ref})})
+
+    Source: docs/theory/wound.md. The sign in the exponent matters: one published code has a plus there and is always on. Below
+    ``least`` it is 0.
 
     Parameters
     ----------
@@ -100,7 +102,7 @@ class LogisticSignal(_WithoutStates):
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
         """H (...)."""
         H = sigmoid(self.gamma * (1.0 + strain - self.theta_ref))
-        return jnp.where(H < self.least, 0.0, H)
+        return jnp.where(self.least > H, 0.0, H)
 
 
 class StrainSignal(_WithoutStates):

@@ -79,7 +79,7 @@ class Tolerance(NamedTuple):
     """Step below which it gives up [s]."""
 
 
-class _NoSolution(Exception):
+class _NoSolutionError(Exception):
     """A step has none, or it was not found; the text says why."""
 
 
@@ -117,14 +117,16 @@ class Wound:
     scarring: Scarring
     mobility: Mobility
     transport: Transport
-    tolerance: Tolerance = Tolerance()
+    tolerance: Tolerance = field(default_factory=Tolerance)
     is_coupled: bool = True
     factorizations: int = 0
     _mechanics: LinearSolver = field(default_factory=LinearSolver)
     _matrix: object = None
 
-    def start(self, fields: np.ndarray, local: Local, first_step: float, time: float = 0.0) -> Course:
+    def start(self, fields: np.ndarray, local: Local, first_step: float, held_at: np.ndarray | None = None) -> Course:
         """The wound in equilibrium with what its cells pull: fields (n, 2), local states and a first step [s].
+
+        Held nodes go to where ``held_at`` (n_nodes, 3) [mm] has them, and stay there.
 
         Raises
         ------
@@ -132,10 +134,10 @@ class Wound:
             Where it finds no equilibrium.
         """
         body = self._tissue(local, fields)
-        x, report = Equilibrium(relative_tolerance=1e-9).loaded(body, self.X, self.gravity)
+        x, report = Equilibrium(relative_tolerance=1e-9).loaded(body, self.X, self.gravity, held_at=held_at)
         self.factorizations += 1
         state = WoundState(x, fields, jax.tree.map(np.asarray, local))
-        return Course((state,), (time,), first_step, iterations=report.iterations)
+        return Course((state,), (0.0,), first_step, iterations=report.iterations)
 
     def follow(self, course: Course, until: float) -> Iterator[Course]:
         """Go on to a time [s], which the last step meets; yields after every step.
@@ -158,7 +160,7 @@ class Wound:
                 raise self._failure(course, h, why)
             try:
                 state, error, used, iterations = self._tried(course, h)
-            except _NoSolution as found:
+            except _NoSolutionError as found:
                 why, h, course = str(found), CUT * h, replace(course, rejected=course.rejected + 1)
                 self._forget_matrix()
                 continue
@@ -194,11 +196,13 @@ class Wound:
             start = _mixed(used.start, course.past)
         guess = _mixed(used.guess, course.past)
         guess = guess if self._is_sound(guess) else course.now
+        if not self.is_coupled:
+            guess = guess._replace(x=course.now.x)
         end, iterations = self._solved(start, guess, used.share * h)
         lowest = float(end.fields.min())
         if lowest < -self.tolerance.iteration:
             what = ("cells", "cytokine")[int(np.argmin(end.fields.min(axis=0)))]
-            raise _NoSolution(f"{what} fell below 0, to {lowest:.3g}")
+            raise _NoSolutionError(f"{what} fell below 0, to {lowest:.3g}")
         error = used.error * _distance(end, guess) / self.tolerance.time if used.error else 0.0
         return end, error, used, iterations
 
@@ -219,14 +223,14 @@ class Wound:
                 fields[self.transport.free] -= flow_factor.solve(wrong.ravel()).reshape(-1, 2)
                 x = self._balanced(now.x, local, fields) if self.is_coupled else now.x
             except FloatingPointError as error:
-                raise _NoSolution(str(error)) from error
+                raise _NoSolutionError(str(error)) from error
             change = max(
                 float(np.abs(fields - now.fields).max()),
                 float(np.abs(x - now.x).max()) / size,
                 _local_distance(local, now.local) if n > 1 else 0.0,
             )
             if not np.isfinite(change):
-                raise _NoSolution("it led to what is no number")
+                raise _NoSolutionError("it led to what is no number")
             now = WoundState(x, fields, local)
             if n > 1 and change <= self.tolerance.iteration:
                 return now, n
@@ -234,7 +238,7 @@ class Wound:
                 self._forget_matrix()
                 flow_factor = None
             before = change
-        raise _NoSolution(f"{MOST_ITERATIONS} iterations did not settle it")
+        raise _NoSolutionError(f"{MOST_ITERATIONS} iterations did not settle it")
 
     def _local(self, F: np.ndarray, now: WoundState, start: Local, dt: float) -> tuple[Local, np.ndarray]:
         rho, c = (self.transport.at_points(values) for values in now.fields.T)

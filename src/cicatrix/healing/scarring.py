@@ -51,7 +51,7 @@ class Felt(NamedTuple):
 class Contracture(Law):
     r"""Permanent stretch by turnover of collagen, :math:`\dot\lambda_i = (\varphi^+ / \tau_P) (\lambda^e_i - 1)`.
 
-    Source: the group's wound models (PHYSICS section 7). Within the band nothing yields; beyond it what exceeds the band counts.
+    Source: docs/theory/wound.md. Within the band nothing yields; beyond it what exceeds the band counts.
 
     Parameters
     ----------
@@ -91,9 +91,10 @@ class Reorientation(Law):
     r"""Fibres that turn to the largest elastic stretch, and gather about it.
 
     .. math:: \dot a_0 = \frac{2 \pi \varphi^+}{\tau_\omega} \lambda_{max} (I - a_0 \otimes a_0) \, e_{max}, \qquad
-        \dot\kappa = \frac{\varphi^+}{\tau_\kappa} \left[ \frac{1}{d} \left(\frac{\lambda_{mid}}{\lambda_{max}}\right)^{\gamma_\kappa} - \kappa \right]
+        \dot\kappa = \frac{\varphi^+}{\tau_\kappa}
+            \left[ \frac{1}{d} \left(\frac{\lambda_{mid}}{\lambda_{max}}\right)^{\gamma_\kappa} - \kappa \right]
 
-    Source: the group's wound models (PHYSICS section 7). Where the largest stretch is that of more than one direction nothing turns.
+    Source: docs/theory/wound.md. Where the largest stretch is that of more than one direction nothing turns.
 
     Parameters
     ----------
@@ -115,7 +116,7 @@ class Scarring(Law):
 
     .. math:: T = \left( t_\rho + t_{\rho,c} \frac{c}{K_{t,c} + c} \right) \rho \, \frac{\varphi}{K_t^2 + \varphi^2}
 
-    Source: the group's wound models (PHYSICS section 7), densities over those of healthy tissue.
+    Source: docs/theory/wound.md, densities over those of healthy tissue.
 
     Parameters
     ----------
@@ -185,7 +186,9 @@ class Scarring(Law):
             contents = Contents(rho, c, phi)
             H = self.sensing.value(sensed, felt.fibre, felt.strain)
             made, change = self.turnover.deposition(contents, H), self.turnover.rates(contents, H).m_f
-            gathered = jnp.zeros_like(spread) if self.turning is None else made / self.turning.tau_kappa * (ratio - spread)
+            gathered = (
+                jnp.zeros_like(spread) if self.turning is None else made / self.turning.tau_kappa * (ratio - spread)
+            )
             sensing = self.sensing.rate(sensed, felt.fibre, felt.strain)
             rate = self._packed(change, self.yielding.rate(felt, made, change), gathered, sensing)
             return z - self._packed(start.phi, start.stretch, start.spread, start.sensed) - dt * rate
@@ -196,7 +199,11 @@ class Scarring(Law):
         if self.turning is None:
             return end
         made = self.turnover.deposition(Contents(rho, c, phi), self.signal(F, end))
-        return end._replace(axes=self._turned(start.axes, guess.axes, first, dt * 2.0 * jnp.pi * made / self.turning.tau_omega * largest))
+        return end._replace(
+            axes=self._turned(
+                start.axes, guess.axes, first, dt * 2.0 * jnp.pi * made / self.turning.tau_omega * largest
+            )
+        )
 
     def _measures(self, F: Array, axes: Array) -> tuple[Array, Array]:
         """Stretches along the axes (..., d), and change of area or volume (...)."""
@@ -233,7 +240,8 @@ class Scarring(Law):
         """The tissue at an instant."""
         t = (self.t_rho + self.t_rho_c * c / (self.K_t_c + c)) * rho
         tension = t * has.phi / (self.K_t**2 + has.phi**2)
-        return Scar(self.k_0, self.k_f, self.k_2, self.k_v, has.phi, self.permanent(has), self.structure(has), tension, self.is_sheet)
+        stiffness = self.k_0, self.k_f, self.k_2, self.k_v
+        return Scar(self.permanent(has), self.structure(has), *stiffness, has.phi, tension, self.is_sheet)
 
     def permanent(self, has: Local) -> Array:
         """F_p (..., 3, 3) [1]."""
@@ -300,7 +308,9 @@ def _across(axes: Array) -> Array:
 
 
 @partial(jax.jit, compiler_options=COMPILER)
-def advanced(law: Scarring, F: Array, rho: Array, c: Array, start: Local, guess: Local, dt: float) -> tuple[Local, Array]:
+def advanced(
+    law: Scarring, F: Array, rho: Array, c: Array, start: Local, guess: Local, dt: float
+) -> tuple[Local, Array]:
     """:meth:`Scarring.advanced` and the signal at its end, compiled once for a kind of law."""
     end = law.advanced(F, rho, c, start, guess, dt)
     return end, law.signal(F, end)

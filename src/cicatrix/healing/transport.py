@@ -13,7 +13,7 @@ from jax import Array
 
 from ..biology.turnover import Contents, Turnover
 from ..core.compiler import COMPILER
-from ..core.factors import SuperLU
+from ..core.factors import Factor, SuperLU
 from ..core.law import Law, param
 from ..core.tensors import inv, right_cauchy_green
 from ..mechanics.pattern import Pattern
@@ -23,11 +23,12 @@ from ..mechanics.space import AnySpace
 class Mobility(Law):
     r"""How cells and cytokine move, on the reference configuration.
 
-    .. math:: Q_\rho = -C^{-1} \left( D_\rho \nabla\rho + D_{\rho,c} \, \rho \nabla c + D_{\rho,\varphi} \, \rho \nabla\varphi \right),
-        \qquad Q_c = -D_c C^{-1} \nabla c
+    .. math::
+        Q_\rho &= -C^{-1} (D_\rho \nabla\rho + D_{\rho,c} \, \rho \nabla c + D_{\rho,\varphi} \, \rho \nabla\varphi) \\
+        Q_c &= -D_c C^{-1} \nabla c
 
-    Source: R Eq. (16) and the group's wound models (PHYSICS section 7), from which the signs are: cells go to where there is more
-    cytokine, or collagen, where the second, or third, coefficient is negative.
+    Source: Guo, Mofrad & Buganza Tepole, Eq. (16), and docs/theory/wound.md, which the signs are from: cells go to where there is
+    more cytokine, or collagen, where the second, or third, coefficient is negative.
 
     Parameters
     ----------
@@ -214,7 +215,7 @@ class Flow:
         return on.pattern.matrix(data, np.zeros(on.pattern.n_dofs))
 
 
-def factor(matrix: sp.bsr_array) -> SuperLU:
+def factor(matrix: sp.bsr_array) -> Factor:
     """LU factor of a matrix without symmetry; raises FloatingPointError where it is singular or not finite."""
     return SuperLU(matrix).factor(matrix)
 

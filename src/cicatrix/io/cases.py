@@ -23,9 +23,19 @@ from ..study.limits import FAULT, OUT_OF_RANGE
 from ..study.point_case import PointCase
 from ..study.signalling_case import SignallingCase
 from ..study.tissue_cell_case import TissueCellCase
+from ..study.wound_case import WoundCase
 from .paths import input_path
 
-Case = LumpectomyCase | AutomatonCase | EquilibriumCase | PointCase | AdhesionCase | SignallingCase | TissueCellCase
+Case = (
+    LumpectomyCase
+    | AutomatonCase
+    | EquilibriumCase
+    | PointCase
+    | AdhesionCase
+    | SignallingCase
+    | TissueCellCase
+    | WoundCase
+)
 KINDS: dict[str, type[Case]] = {
     "lumpectomy": LumpectomyCase,
     "automaton": AutomatonCase,
@@ -34,6 +44,7 @@ KINDS: dict[str, type[Case]] = {
     "adhesion": AdhesionCase,
     "signalling": SignallingCase,
     "tissue-cell": TissueCellCase,
+    "wound": WoundCase,
 }
 FILES = {  # table and key of everything that names a file
     "lumpectomy": (("image", "path"), ("image", "labels")),
@@ -42,6 +53,7 @@ FILES = {  # table and key of everything that names a file
     "material-point": (),
     "adhesion": (),
     "tissue-cell": (("signal", "species"), ("signal", "reactions")),
+    "wound": (("mechanosensing", "species"), ("mechanosensing", "reactions")),
     "signalling": (("network", "species"), ("network", "reactions"), ("network", "sbml")),
 }
 CHECKS = {"signalling": (".networks", "faults_of")}  # of what a case's files hold, as far as that is soon done

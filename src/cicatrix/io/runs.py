@@ -23,6 +23,7 @@ RUNS = {
     "adhesion": (".adhesion_run", "AdhesionRun"),
     "signalling": (".signalling_run", "SignallingRun"),
     "tissue-cell": (".tissue_cell_run", "TissueCellRun"),
+    "wound": (".wound_run", "WoundRun"),
 }
 FOLLOWERS = {  # what the other ranks of several do
     "automaton": (".automaton_run", "follow"),
@@ -37,7 +38,7 @@ def simulate(
 
     Parameters
     ----------
-    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase, AdhesionCase, SignallingCase or TissueCellCase
+    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase, AdhesionCase, SignallingCase, TissueCellCase or WoundCase
         What to run.
     out : str or Path, optional
         The run's folder; without it nothing is kept on disk.

@@ -21,11 +21,15 @@ class Scar(EnergyMaterial):
 
     of a sheet, incompressible and free of stress across, and of a solid. :math:`F_e = F F_p^{-1}`, :math:`J_p = \det F_p`; the
     last term has the stress :math:`S = 2 J_p T A_0 / (C : A_0)`, so that the Cauchy traction T does not depend on stretch.
-    Source: the group's wound models (PHYSICS section 7 of this project). Fibres bear no push, which the source does not say; the
+    Source: docs/theory/wound.md. Fibres bear no push, which the source does not say; the
     shear modulus at rest is 2 k_0.
 
     Parameters
     ----------
+    F_p : (..., 3, 3) array [1]
+        Permanent deformation.
+    A_0 : (..., 3, 3) array [1]
+        Structure tensor of the fibres, of trace 1; of a sheet in the plane of its first two axes.
     k_0 : float or (...) array [kPa]
         Of the matrix.
     k_f, k_2 : float or (...) array [kPa], [1]
@@ -34,23 +38,19 @@ class Scar(EnergyMaterial):
         Against change of volume; of a solid alone.
     phi : float or (...) array [1]
         Collagen over that of healthy tissue.
-    F_p : (..., 3, 3) array [1]
-        Permanent deformation.
-    A_0 : (..., 3, 3) array [1]
-        Structure tensor of the fibres, of trace 1; of a sheet in the plane of its first two axes.
     tension : float or (...) array [kPa]
         T.
     is_sheet : bool
         Whether the third axis is a sheet's normal; then only the first two rows and columns of F count.
     """
 
+    F_p: Array
+    A_0: Array
     k_0: float | Array = param("kPa", "k_0", above=0.0)
     k_f: float | Array = param("kPa", "k_f", low=0.0)
     k_2: float | Array = param("1", "k_2", above=0.0)
     k_v: float | Array = param("kPa", "k_v", low=0.0)
     phi: float | Array = param("1", "phi", low=0.0)
-    F_p: Array
-    A_0: Array
     tension: float | Array = param("kPa", "T", low=0.0)
     is_sheet: bool = eqx.field(static=True, default=False)
 
@@ -61,7 +61,12 @@ class Scar(EnergyMaterial):
             F = _thinned(F, J_p)
         F_e = product(F, inv(self.F_p))
         matrix = self.k_0 * (jnp.sum(F_e * F_e, axis=(-2, -1)) - 3.0)
-        fibres = self.phi * self.k_f / (2.0 * self.k_2) * jnp.expm1(self.k_2 * jnp.maximum(self._stretched(F_e) - 1.0, 0.0) ** 2)
+        fibres = (
+            self.phi
+            * self.k_f
+            / (2.0 * self.k_2)
+            * jnp.expm1(self.k_2 * jnp.maximum(self._stretched(F_e) - 1.0, 0.0) ** 2)
+        )
         pull = self.tension * jnp.log(self._stretched(F))
         if self.is_sheet:
             return J_p * (matrix + fibres + pull)

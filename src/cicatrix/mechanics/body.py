@@ -48,7 +48,7 @@ class Frame:
 
     Parameters
     ----------
-    space : Space or SolidSpace
+    space : Space, SolidSpace or Sheet
         Nodes and elements.
     skin_facets : (n_facets,) int array
         What carries the skin membrane: edges of a section's mesh, boundary faces of a solid by their numbers.

@@ -15,7 +15,6 @@ from ..core.linear import Engine, LinearSolver
 from ..core.newton import NewtonReport, minimise, newton, ramp
 from .body import Body, Frame, VolumeRates
 from .pullback import Pullback
-from .space import Space
 from .supports import Supports
 
 SMALLEST_STEP = 0.25  # of a load; below that, going downhill is cheaper
@@ -371,7 +370,7 @@ class _Problem:
     @property
     def in_plane(self) -> bool:
         """Nothing pulls along a section's normal."""
-        return isinstance(self.body.frame.space, Space) and bool(self.full[2] == 0.0)
+        return self.body.frame.space.n_axes == 2 and bool(self.full[2] == 0.0)
 
     @property
     def supports(self) -> Supports:
