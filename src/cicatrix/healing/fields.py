@@ -133,11 +133,13 @@ class Wound:
         ConvergenceError
             Where it finds no equilibrium.
         """
-        body = self._tissue(local, fields)
-        x, report = Equilibrium(relative_tolerance=1e-9).loaded(body, self.X, self.gravity, held_at=held_at)
-        self.factorizations += 1
+        body, x, iterations = self._tissue(local, fields), self.X, 0
+        if held_at is not None or self.gravity.any() or np.any(body.law.tension):
+            mechanics = Equilibrium(relative_tolerance=1e-9)
+            x, report = mechanics.loaded(body, self.X, self.gravity, held_at=held_at)
+            iterations, self.factorizations = report.iterations, mechanics.factorizations
         state = WoundState(x, fields, jax.tree.map(np.asarray, local))
-        return Course((state,), (0.0,), first_step, iterations=report.iterations)
+        return Course((state,), (0.0,), first_step, iterations=iterations)
 
     def follow(self, course: Course, until: float) -> Iterator[Course]:
         """Go on to a time [s], which the last step meets; yields after every step.

@@ -48,9 +48,9 @@ class Mobility(Law):
 class Transport:
     """Where cells and cytokine are, and how much of them each node and element holds.
 
-    They are linear between the corners of elements (bilinear in quadrilaterals). Storage and sources are lumped at the nodes:
-    with sources that keep positive what is positive, and angles of elements that do not grow obtuse, so does an implicit Euler
-    step; and what leaves a node arrives at its neighbours, to rounding.
+    They are linear between the corners of elements (bilinear in quadrilaterals). Storage and sources are lumped at the nodes, and
+    what diffuses is limited where obtuse angles would draw it uphill (:func:`limited`): with sources that keep positive what is
+    positive, so does an implicit Euler step; and what leaves a node arrives at its neighbours, to rounding.
 
     Parameters
     ----------
@@ -175,14 +175,19 @@ class Flow:
         D = self.mobility.D_rho_phi
         return D * self.on.taxis(self.F, self.collagen) if D else 0.0
 
+    def _moving(self, rho: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Matrices of what leaves each corner of each element (n_elements, a, a), of cells and cytokine."""
+        m, cells = self.mobility, self.on.cells
+        going = limited(m.D_rho * self._stiffness, rho[cells]) + self._haptotaxis
+        if m.D_rho_c:
+            going = going + m.D_rho_c * self.on.taxis(self.F, c)
+        return going, limited(m.D_c * self._stiffness, c[cells])
+
     def leaving(self, rho: np.ndarray, c: np.ndarray) -> np.ndarray:
         """What leaves each carrier for its neighbours: (n,), (n,) -> (n, 2) [1/s, times its volume]."""
-        K, m = self._stiffness, self.mobility
-        cells_out = m.D_rho * K + self._haptotaxis
-        if m.D_rho_c:
-            cells_out = cells_out + m.D_rho_c * self.on.taxis(self.F, c)
-        parts = cells_out @ rho[self.on.cells][..., None], m.D_c * K @ c[self.on.cells][..., None]
-        return np.stack([self.on.summed(part[..., 0]) for part in parts], axis=-1)
+        both = zip(self._moving(rho, c), (rho, c))
+        parts = [(moving @ values[self.on.cells][..., None])[..., 0] for moving, values in both]
+        return np.stack([self.on.summed(part) for part in parts], axis=-1)
 
     def sources(self, rho: np.ndarray, c: np.ndarray) -> np.ndarray:
         """s_rho and s_c at the carriers: (n,), (n,) -> (n, 2) [1/s]."""
@@ -195,14 +200,12 @@ class Flow:
         return self.on.volumes[:, None] * stored + self.leaving(rho, c)
 
     def tangent(self, nodal: np.ndarray, dt: float) -> sp.bsr_array:
-        """Derivative of the residual on the free carriers."""
+        """Derivative of the residual on the free carriers, limiters as they are."""
         rho, c = nodal.T
         K, m, on = self._stiffness, self.mobility, self.on
         blocks = np.zeros((*K.shape[:2], 3, K.shape[2], 3))  # of three components the pattern takes the first two
-        blocks[:, :, 0, :, 0] = m.D_rho * K + self._haptotaxis
-        blocks[:, :, 1, :, 1] = m.D_c * K
+        blocks[:, :, 0, :, 0], blocks[:, :, 1, :, 1] = self._moving(rho, c)
         if m.D_rho_c:
-            blocks[:, :, 0, :, 0] += m.D_rho_c * on.taxis(self.F, c)
             here = on.at_points(rho)
             blocks[:, :, 0, :, 1] += m.D_rho_c * np.asarray(_stiffness(on.weights * here, on.slopes, self.F))
         data = on.pattern.zeros()
@@ -213,6 +216,23 @@ class Flow:
         )
         on.pattern.add_diagonal(data, local[on.free])
         return on.pattern.matrix(data, np.zeros(on.pattern.n_dofs))
+
+
+def limited(stiffness: np.ndarray, values: np.ndarray) -> np.ndarray:
+    r"""Element matrices of diffusion (n_elements, a, a) that draw no more out of a node than a share of what it holds.
+
+    Between nodes i and j of an obtuse angle the entry :math:`k_{ij}` is positive, and so what is at j draws on i. Only
+    :math:`\min(u_i, u_j) / \max(u_i, u_j)` of it is left, the rest goes to the diagonal: rows and columns still add up to 0,
+    fields that vary little are hardly changed, and the draw on i is below :math:`k_{ij} u_i`. Values (n_elements, a).
+    """
+    a = stiffness.shape[1]
+    if not (stiffness[:, ~np.eye(a, dtype=bool)] > 0.0).any():
+        return stiffness
+    u = np.maximum(values, 0.0)
+    low, high = np.minimum(u[:, :, None], u[:, None, :]), np.maximum(u[:, :, None], u[:, None, :])
+    uphill = np.where(np.eye(a, dtype=bool), 0.0, np.maximum(stiffness, 0.0))
+    away = (1.0 - low / np.maximum(high, 1e-300)) * uphill
+    return stiffness - away + away.sum(axis=2)[..., None] * np.eye(a)
 
 
 def factor(matrix: sp.bsr_array) -> Factor:
