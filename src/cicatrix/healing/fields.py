@@ -9,6 +9,7 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
+from ..core.anderson import Anderson
 from ..core.bdf import Formula, formula, next_step
 from ..core.errors import ConvergenceError
 from ..core.linear import LinearSolver
@@ -16,10 +17,10 @@ from ..core.units import hours_from_seconds
 from ..mechanics.body import Body
 from ..mechanics.equilibrium import Equilibrium
 from .scarring import Local, Scarring, advanced, tidied, tissue
-from .transport import Flow, Mobility, Transport, factor
+from .transport import Flow, Mobility, Transport
 
 MOST_ITERATIONS = 25  # of a step; one that is not done then is cut
-POOR = 0.25  # of the change before: iterations that bring less have their matrices made anew
+POOR = 0.25  # of the change before: where iterations bring less, the matrix is made anew, once a step
 CUT = 0.25  # of a step that finds no solution
 KEPT = 3  # states that a step may look back to
 
@@ -87,9 +88,9 @@ class _NoSolutionError(Exception):
 class Wound:
     """Solver of healing by fields.
 
-    In each step mechanics, local states and transport take turns, each at the others' latest values, until nothing changes:
-    the solution is that of the step fully implicit in all of them. Steps are of second order (:mod:`..core.bdf`), plain
-    implicit Euler where else something would become negative.
+    In each step mechanics, local states and transport take turns, each at the others' latest values, until nothing changes: the
+    solution is that of the step fully implicit in all of them; Anderson's mixing shortens the way. Steps are of second order
+    (:mod:`..core.bdf`), plain implicit Euler where else something would become negative.
 
     Parameters
     ----------
@@ -164,7 +165,7 @@ class Wound:
                 state, error, used, iterations = self._tried(course, h)
             except _NoSolutionError as found:
                 why, h, course = str(found), CUT * h, replace(course, rejected=course.rejected + 1)
-                self._forget_matrix()
+                self._matrix = None
                 continue
             proposed = next_step(h, error, used.order)
             if error <= 1.0:
@@ -182,11 +183,7 @@ class Wound:
 
     def forget(self) -> None:
         """Let all matrices go: what follows depends on the course alone."""
-        self._mechanics = LinearSolver()
-        self._forget_matrix()
-
-    def _forget_matrix(self) -> None:
-        self._matrix = None
+        self._mechanics, self._matrix = LinearSolver(), None
 
     def _tried(self, course: Course, h: float) -> tuple[WoundState, float, Formula, int]:
         """A step of length h: its end, its local error over the tolerance, and the formula that it took."""
@@ -209,38 +206,44 @@ class Wound:
         return end, error, used, iterations
 
     def _solved(self, start: WoundState, guess: WoundState, dt: float) -> tuple[WoundState, int]:
-        """Implicit Euler step dt [s]: mechanics, local states and transport in turn until nothing changes."""
-        now, flow_factor, before = guess, None, np.inf
-        size = float(np.ptp(self.X, axis=0).max())
+        """Implicit Euler step dt [s]: local states, transport and mechanics in turn until nothing changes."""
+        now, mixing, before, is_fresh = guess, Anderson(), np.inf, False
         for n in range(1, MOST_ITERATIONS + 1):
-            F = self.body.law_gradient(self.X, now.x)
-            local, signal = self._local(F, now, start.local, dt)
-            flow = self._flow(F, signal, local)
-            try:
-                if flow_factor is None:
-                    flow_factor = factor(flow.tangent(now.fields, dt))
-                    self.factorizations += 1
-                fields = now.fields.copy()
-                wrong = flow.residual(now.fields, start.fields, dt)[self.transport.free]
-                fields[self.transport.free] -= flow_factor.solve(wrong.ravel()).reshape(-1, 2)
-                x = self._balanced(now.x, local, fields) if self.is_coupled else now.x
-            except FloatingPointError as error:
-                raise _NoSolutionError(str(error)) from error
-            change = max(
-                float(np.abs(fields - now.fields).max()),
-                float(np.abs(x - now.x).max()) / size,
-                _local_distance(local, now.local) if n > 1 else 0.0,
-            )
+            image = self._turn(now, start, dt)
+            one, other = self._packed(now), self._packed(image)
+            change = float(np.abs(other - one).max())
             if not np.isfinite(change):
                 raise _NoSolutionError("it led to what is no number")
-            now = WoundState(x, fields, local)
             if n > 1 and change <= self.tolerance.iteration:
-                return now, n
-            if n > 1 and change > POOR * before:
-                self._forget_matrix()
-                flow_factor = None
-            before = change
+                return image, n
+            if n > 1 and change > POOR * before and not is_fresh:
+                self._matrix, mixing, is_fresh = None, Anderson(), True
+            now, before = self._unpacked(mixing.mixed(one, other), image), change
         raise _NoSolutionError(f"{MOST_ITERATIONS} iterations did not settle it")
+
+    def _turn(self, now: WoundState, start: WoundState, dt: float) -> WoundState:
+        """Each part solved once at the others' latest values."""
+        F = self.body.law_gradient(self.X, now.x)
+        local, signal = self._local(F, now, start.local, dt)
+        try:
+            fields = self._flow(F, signal, local).improved(now.fields, start.fields, dt)
+            x = self._balanced(now.x, local, fields) if self.is_coupled else now.x
+        except FloatingPointError as error:
+            raise _NoSolutionError(str(error)) from error
+        return WoundState(x, fields, local)
+
+    def _packed(self, state: WoundState) -> np.ndarray:
+        """What the turns go on from, one vector: positions over the size of the body, and fields."""
+        return np.concatenate([state.x.ravel() / self._size, state.fields.ravel()])
+
+    def _unpacked(self, values: np.ndarray, like: WoundState) -> WoundState:
+        x, fields = np.split(values, [like.x.size])
+        like = like._replace(fields=fields.reshape(like.fields.shape))
+        return like._replace(x=self._size * x.reshape(like.x.shape)) if self.is_coupled else like
+
+    @property
+    def _size(self) -> float:
+        return float(np.ptp(self.X, axis=0).max())
 
     def _local(self, F: np.ndarray, now: WoundState, start: Local, dt: float) -> tuple[Local, np.ndarray]:
         rho, c = (self.transport.at_points(values) for values in now.fields.T)

@@ -13,11 +13,14 @@ from jax import Array
 
 from ..biology.turnover import Contents, Turnover
 from ..core.compiler import COMPILER
-from ..core.factors import Factor, SuperLU
+from ..core.factors import check_finite
 from ..core.law import Law, param
+from ..core.linear import gmres
 from ..core.tensors import inv, right_cauchy_green
 from ..mechanics.pattern import Pattern
 from ..mechanics.space import AnySpace
+
+EXACT, MOST_STEPS = 1e-10, 300  # of a linear system: residual over right-hand side, and Krylov steps
 
 
 class Mobility(Law):
@@ -217,6 +220,13 @@ class Flow:
         on.pattern.add_diagonal(data, local[on.free])
         return on.pattern.matrix(data, np.zeros(on.pattern.n_dofs))
 
+    def improved(self, nodal: np.ndarray, start: np.ndarray, dt: float) -> np.ndarray:
+        """Fields (n, 2) after one iteration of Newton's method; raises FloatingPointError as :func:`solve`."""
+        free, out = self.on.free, nodal.copy()
+        wrong = self.residual(nodal, start, dt)[free]
+        out[free] -= solve(self.tangent(nodal, dt), wrong.ravel()).reshape(-1, 2)
+        return out
+
 
 def limited(stiffness: np.ndarray, values: np.ndarray) -> np.ndarray:
     r"""Element matrices of diffusion (n_elements, a, a) that draw no more out of a node than a share of what it holds.
@@ -235,9 +245,29 @@ def limited(stiffness: np.ndarray, values: np.ndarray) -> np.ndarray:
     return stiffness - away + away.sum(axis=2)[..., None] * np.eye(a)
 
 
-def factor(matrix: sp.bsr_array) -> Factor:
-    """LU factor of a matrix without symmetry; raises FloatingPointError where it is singular or not finite."""
-    return SuperLU(matrix).factor(matrix)
+def solve(matrix: sp.bsr_array, rhs: np.ndarray) -> np.ndarray:
+    """Solve a flow's linear system (n,) by generalised minimal residuals, the blocks of nodes as preconditioner.
+
+    What is stored at a node outweighs what leaves it, unless steps are long for the elements, so a few iterations do.
+
+    Raises
+    ------
+    FloatingPointError
+        Where they do not, or the matrix is not finite.
+    """
+    check_finite(matrix)
+    rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
+    blocks = np.linalg.inv(matrix.data[rows == matrix.indices])
+
+    def precondition(x: np.ndarray) -> np.ndarray:
+        return np.einsum("nij,nj->ni", blocks, x.reshape(-1, 2)).ravel()
+
+    if not rhs.any():
+        return np.zeros_like(rhs)
+    found, _ = gmres(matrix, rhs, precondition, EXACT, MOST_STEPS)
+    if found is None:
+        raise FloatingPointError(f"transport's linear system was not solved in {MOST_STEPS} steps")
+    return found
 
 
 def _metric(F: Array, axes: int) -> Array:
