@@ -15,6 +15,7 @@ PAPERS = Path(__file__).parents[2] / "papers"
 FIGURES = ["garbey-2013-fig2", "garbey-2013-fig5", "garbey-2013-fig6"]
 COARSE = ["image.voxel_mm=3.0", "healing.pitch_um=100", "mesh.edge_mm=6.0", "mesh.cavity_edge_mm=2.0"]
 POINTS = ["guo-2022-fig2", "guo-2022-fig3", "guo-2022-fig4", "guo-2022-fig5"]
+WOUNDS = ["circular-wound", "breast-cavity"]
 FEWER = ["law.1.orientation.n_angles=12", "law.1.viscous.n_waviness=32", "loading.repeat=2"]
 
 
@@ -80,7 +81,7 @@ def test_the_published_compression_is_found_again_with_the_same_rounding():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", [*FIGURES, *POINTS, "clinic-closure", "level-set-teleports"])
+@pytest.mark.parametrize("name", [*FIGURES, *POINTS, *WOUNDS, "clinic-closure", "level-set-teleports"])
 def test_the_whole_table_is_as_expected(name, tmp_path):
     """Each script says itself, by its exit code, whether its table is that of expected.csv."""
     done = subprocess.run([sys.executable, PAPERS / name / "run.py"], capture_output=True, text=True)

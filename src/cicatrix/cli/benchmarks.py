@@ -76,6 +76,11 @@ def cells() -> Iterator[Measurement]:
     yield from import_module(".bench_networks", __package__).networks()
 
 
+def wound() -> Iterator[Measurement]:
+    """A round wound by fields over two weeks: steps, factors, seconds and error, next to plain implicit Euler steps."""
+    return import_module(".bench_wound", __package__).wound()
+
+
 BENCHMARKS: dict[str, Callable[[], Iterable[Measurement]]] = {
     "checkpoint": checkpoint,
     "road2d": road2d,
@@ -83,4 +88,5 @@ BENCHMARKS: dict[str, Callable[[], Iterable[Measurement]]] = {
     "mechanics": mechanics,
     "laws": laws,
     "cells": cells,
+    "wound": wound,
 }

@@ -188,13 +188,16 @@ class Numbers(NamedTuple):
 
 def numbers_of(model: WoundModel, state: WoundState) -> Numbers:
     """Measure a state."""
-    transport = model.solver.transport
-    phi = transport.at_carriers(state.local.phi)
-    lam = transport.at_carriers(np.prod(state.local.stretch, axis=-1))
-    of = {"rho": state.fields[:, 0], "c": state.fields[:, 1], "phi": phi, "lamP": lam}
-    places: dict[str, Place] = {"centre": model.body.centre, "edge": model.body.edge}
-    at = {
-        where: {name: place.mean(values[transport.cells]) for name, values in of.items()}
-        for where, place in places.items()
+    transport, local = model.solver.transport, state.local
+    to_corners = np.linalg.pinv(
+        transport.space.corner_table.value
+    ).T  # within each element: what points hold may jump between
+    of = {
+        "rho": state.fields[transport.cells, 0],
+        "c": state.fields[transport.cells, 1],
+        "phi": local.phi @ to_corners,
+        "lamP": np.prod(local.stretch, axis=-1) @ to_corners,
     }
+    places: dict[str, Place] = {"centre": model.body.centre, "edge": model.body.edge}
+    at = {where: {name: place.mean(corners) for name, corners in of.items()} for where, place in places.items()}
     return Numbers(model.body.size(state.x), at, transport.total(state.fields[:, 0]))
