@@ -42,7 +42,7 @@ def table(h: History) -> list[tuple[str, str, bool]]:
             bool(1 - volume(h, 56.0) > 0.5 * (1 - ratio[least]) and ratio[least] < 0.95),
         ),
         (
-            "part of it stays: more than 10 % of the volume is still gone after 26 weeks, and tissue at its edge has yielded for good",
+            "part of it stays: 10 % of the volume or more is gone after 26 weeks, and tissue at its edge has yielded for good",
             f"{100 * (1 - ratio[-1]):.1f} %; permanent volume stretch {h['lamP_volume_edge'][-1]:.2f} at the edge",
             bool(ratio[-1] < 0.9 and h["lamP_volume_edge"][-1] < 0.95),
         ),

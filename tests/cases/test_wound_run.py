@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import cicatrix
-from cicatrix.core.errors import InputError
+from cicatrix.core.errors import ConvergenceError, InputError
 from cicatrix.io import wound_run
 from cicatrix.io.cases import check_case
 
@@ -149,6 +149,11 @@ def test_what_cannot_be_is_refused_in_a_sentence(text, parameters, sentence, tmp
     assert any(sentence in fault for fault in check_case(path)), check_case(path)
     with pytest.raises(InputError):
         cicatrix.load_case(path)
+
+
+def test_a_pull_that_the_fresh_wound_does_not_bear_is_told(tmp_path):
+    with pytest.raises(ConvergenceError, match=r"The fresh wound finds no equilibrium .*kPa at most"):
+        cicatrix.simulate(cicatrix.load_case(written(tmp_path, "", "t_rho_MPa = 10.0")))
 
 
 def test_a_front_that_elements_cannot_show_is_told(tmp_path):

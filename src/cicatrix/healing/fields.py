@@ -137,7 +137,14 @@ class Wound:
         body, x, iterations = self._tissue(local, fields), self.X, 0
         if held_at is not None or self.gravity.any() or np.any(body.law.tension):
             mechanics = Equilibrium(relative_tolerance=1e-9)
-            x, report = mechanics.loaded(body, self.X, self.gravity, held_at=held_at)
+            try:
+                x, report = mechanics.loaded(body, self.X, self.gravity, held_at=held_at)
+            except ConvergenceError as error:
+                pull = float(np.max(body.law.tension))
+                raise ConvergenceError(
+                    f"The fresh wound finds no equilibrium under what its cells pull with, {pull:.4g} kPa at most: {error}",
+                    error.history,
+                ) from error
             iterations, self.factorizations = report.iterations, mechanics.factorizations
         state = WoundState(x, fields, jax.tree.map(np.asarray, local))
         return Course((state,), (0.0,), first_step, iterations=iterations)
