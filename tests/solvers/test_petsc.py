@@ -55,7 +55,7 @@ def alone():
 
 
 @needs_petsc
-@pytest.mark.parametrize("n", [1, pytest.param(2, marks=pytest.mark.slow), 3])
+@pytest.mark.parametrize("n", [*(pytest.param(n, marks=pytest.mark.slow) for n in (1, 2)), 3])
 def test_any_number_of_ranks_finds_the_same_shapes(n, alone, tmp_path):
     """Loaded and unloaded, MUMPS and GAMG, to 1e-8 of the largest displacement, nearly incompressible, 17 mm of 50."""
     found = worker(n, "shapes", tmp_path)
@@ -121,7 +121,7 @@ def displacement(folder):
 
 @needs_petsc
 @pytest.mark.parametrize(
-    ("n", "linear"), [(0, "mumps"), pytest.param(2, "direct", marks=pytest.mark.slow), (3, "gamg")]
+    ("n", "linear"), [(0, "mumps"), *(pytest.param(*of, marks=pytest.mark.slow) for of in ((2, "direct"), (3, "gamg")))]
 )
 def test_a_run_on_ranks_is_the_run_of_one(n, linear, tmp_path):
     """0: without mpiexec."""

@@ -210,6 +210,7 @@ def round_wound(**how):
     return solver, np.stack([healthy, 1 - healthy], axis=-1), local(body, 0.01 + 0.99 * phi)
 
 
+@pytest.mark.slow
 def test_halving_steps_divides_the_error_by_four():
     """Steps of equal length, whatever their error; against sixteen times finer ones."""
 
