@@ -120,6 +120,7 @@ def test_the_example_and_other_signals():
         (["signal.K_kPa=0.0"], "signal.K_kPa must be above 0; got 0"),
         (["signal.type=stretch"], 'signal.type must be "traction", "moreo" or "network"; got "stretch"'),
         (["law.0.viscous={beta=1.0, relaxation_s=1.0}"], "law must be elastic"),
+        (["cell={clutch={}}"], "cell.clutch must be left out: give force_pN or feedback"),
         (["cell.feedback.beta=8.0"], "feedback does not hold"),
     ],
 )
