@@ -274,6 +274,18 @@ UNSOUND = {
         ["cell.force_pN=1e9"],
         "the adhesion has no finite k_off at a stretch of 1: a force of 1e+09 pN is too much",
     ),
+    "too strong in the end": (
+        [SOLID, *EXACT, "cell.force_pN=200.0"],
+        "the adhesion has no finite k_off at a stretch of 1 after 300 s: a force of 200 pN is too much for this substrate",
+    ),
+    "too many events": (
+        [SOLID, *EXACT, "cell.force_pN=100.0"],
+        'method.type = "ssa" would take about ',
+    ),
+    "too many events of the still": (
+        [*EXACT, "bond.k_on_per_s=1e6", "bond.k_off_per_s=1e6"],
+        "beyond 1e+07 and 1e+10; give less duration_s or force",
+    ),
 }
 
 

@@ -45,7 +45,7 @@ def adhesion_of(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
     else:
         substrate = _simple(case)
     law = Adhesion(bond_of(case.bond), substrate, contraction, case.cell.integrins_per_um2, case.bond.energy)
-    _check(law, case.substrate.stretch)
+    _check(law, case)
     return law, notes
 
 
@@ -138,9 +138,9 @@ def _pulled(column: Column, contraction: Contraction, stretch: Array) -> Pull:
     return column.pulled(contraction, stretch, 0.0)
 
 
-def _check(law: Adhesion, stretch: tuple[float, ...]) -> None:
+def _check(law: Adhesion, case: AdhesionCase) -> None:
     """Refuse what does not hold, before any time is spent."""
-    substrate = law.substrate
+    substrate, stretch = law.substrate, case.substrate.stretch
     if isinstance(substrate, Column):
         k = np.asarray(_pulled(substrate, law.contraction, np.array(stretch)).stiffness)
         _check_stiffness(k, stretch)
@@ -149,13 +149,19 @@ def _check(law: Adhesion, stretch: tuple[float, ...]) -> None:
         law.contraction.check(np.asarray(substrate.k))
     elif isinstance(substrate, StandardLinearSolid):
         law.contraction.check(np.asarray(substrate.K_long + substrate.K_added))
-    at = anchored(law, np.array(stretch))
+    if case.cell.clutch is None:
+        for time in (0.0, case.method.duration_s) if yields(case) else (0.0,):
+            _check_finite(law, stretch, time)
+
+
+def _check_finite(law: Adhesion, stretch: tuple[float, ...], time: float) -> None:
+    at, when = anchored(law, np.array(stretch), time), f" after {time:g} s" if time else ""
     for name, values in at._asdict().items():
         if not np.all(np.isfinite(values)):
             worst = stretch[int(np.argmin(np.isfinite(values)))]
             raise InputError(
-                f"the adhesion has no finite {name} at a stretch of {worst:g}: a force of {float(np.max(at.force)):.4g} pN is "
-                "too much for this substrate"
+                f"the adhesion has no finite {name} at a stretch of {worst:g}{when}: a force of {float(np.max(at.force)):.4g} "
+                "pN is too much for this substrate"
             )
 
 
