@@ -232,7 +232,15 @@ FAULTS = {
     "steps of the mean": (["method.dt_s=1.0"], 'method.dt_s must be left out for type = "ode"'),
     "long step": (
         ["method.type=monte-carlo", "method.n_integrins=5", "method.dt_s=1e3"],
-        "method.dt_s must give 1 to 2^32 - 1 steps in duration_s = 100; got 1000",
+        "method.dt_s must give a whole number of steps, 1 to 2^32 - 1, in duration_s = 100; got 1000, 0.1 steps",
+    ),
+    "a part of a step": (
+        ["method.type=monte-carlo", "method.n_integrins=5", "method.dt_s=0.3"],
+        "method.dt_s must give a whole number of steps, 1 to 2^32 - 1, in duration_s = 100; got 0.3, 333.333 steps",
+    ),
+    "long step of clutches": (
+        ["method.type=monte-carlo", "method.n_integrins=5", "method.dt_s=150.0", "cell={clutch={}}"],
+        "method.dt_s must give a whole number of steps, 1 to 2^32 - 1, in duration_s = 100; got 150",
     ),
     "too many bonds": (
         ["method.type=ssa", "method.n_integrins=100000000"],
@@ -306,6 +314,20 @@ def test_outcome_is_plain(case_file, tmp_path, no_pictures):
     assert outcome["bonds"]["value"] == 32_000
     assert outcome["steps"]["value"] == 600
     assert all(set(asked) == {"value", "unit", "note"} for asked in outcome.values())
+
+
+@pytest.mark.parametrize(("dt", "chance"), [("10.0", "0.19"), ("1.0", None)])
+def test_long_steps_are_noted(dt, chance, case_file):
+    """By hand: 1 - exp(-10 * 0.012 exp(49 / 2e4 / kT)) = 0.19."""
+    _, notes = adhesion_of(load_case(case_file, [*STEPS, f"method.dt_s={dt}"]))
+    words = f"A bond switches with a chance of {chance} in one step of {dt[:-2]} s: a shorter method.dt_s is more exact."
+    assert notes == ([words] if chance else [])
+
+
+@pytest.mark.parametrize("ground", [SOLID, "substrate={type='maxwell', stiffness_pN_um=1e3, viscosity_pN_s_um=1e4}"])
+def test_clutches_on_ground_that_yields(ground, case_file, no_pictures):
+    settings = [ground, "cell={clutch={}}", *STEPS, "method.n_integrins=20", "method.duration_s=10.0", "method.dt_s=0.1"]
+    assert np.isfinite(cicatrix.simulate(load_case(case_file, settings)).history["force_pN"]).all()
 
 
 def test_motors_and_clutches(case_file, tmp_path, no_pictures):

@@ -23,6 +23,7 @@ from .uniaxial import Tension
 
 ROOM = 1.5  # of a table of stresses beyond what a straight curve would ask for
 MOST_TABLES = 12
+MOST_CHANCE = 0.1  # of a bond to switch in a fixed step, above which it is noted
 TABLE_ERROR = 1e-3  # above it the curve has corners that no table follows
 
 
@@ -46,7 +47,7 @@ def adhesion_of(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
         substrate = _simple(case)
     law = Adhesion(bond_of(case.bond), substrate, contraction, case.cell.integrins_per_um2, case.bond.energy)
     _check(law, case)
-    return law, notes
+    return law, notes + _of_steps(law, case)
 
 
 def bond_of(table: BondTable) -> Bond:
@@ -87,6 +88,18 @@ def ground_under(law: Adhesion, stretch: np.ndarray) -> Ground:
 def yields(case: AdhesionCase) -> bool:
     """Whether the substrate gives way in time."""
     return case.substrate.type in ("maxwell", "standard-linear-solid")
+
+
+def _of_steps(law: Adhesion, case: AdhesionCase) -> list[str]:
+    """Say so if fixed steps are long; of clutches, before they bear anything."""
+    dt, rates = case.method.dt_s, [float(law.bond.k_on)]
+    if dt is None:
+        return []
+    for time in (0.0, case.method.duration_s):
+        rates.append(float(np.max(anchored(law, np.array(case.substrate.stretch), time).k_off)))
+    chance = -np.expm1(-dt * np.nanmax(rates))
+    words = f"A bond switches with a chance of {chance:.2g} in one step of {dt:g} s: a shorter method.dt_s is more exact."
+    return [words] if chance > MOST_CHANCE else []
 
 
 def _simple(case: AdhesionCase) -> Substrate:
