@@ -194,7 +194,9 @@ REFUSED = {
     ),
     "twice": ({"species": SPECIES + "A,0,1,1\n"}, [], 'species "A" stands twice'),
     "column of the history": ({"species": SPECIES + "step,0,1,1\n"}, [], 'species "step" must have another name'),
-    "empty": ({"species": "id\n"}, [], "must have a row of column names, id, y_init, y_max, tau_h"),
+    "empty": ({"species": "\n"}, [], "is empty: it must start with a row of column names, id, y_init, y_max, tau_h"),
+    "no rows": ({"species": "id,y_init,y_max,tau_h\n"}, [], "species.csv has no rows below its column names"),
+    "a folder": ({}, ["network.species=."], " is a folder; a file is needed"),
     "no input": ({}, ["set.B=1"], 'set names "B", which is no input of the network; known: A'),
     "no output": (
         {},

@@ -18,6 +18,7 @@ from ..core.errors import InputError
 from ..core.units import hours_from_seconds, seconds_from_hours
 from ..study.signalling import Model, refuse_unknown
 from ..study.signalling_case import NetworkTable, SignallingCase
+from .paths import text_of
 from .sbml import read_sbml
 
 SPECIES = ("id", "y_init", "y_max", "tau_h")
@@ -88,20 +89,16 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
 
 def _table(path: Path, columns: Sequence[str]) -> list[Row]:
     """Rows of a CSV file; empty lines are left out."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
-    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text))]
+    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text_of(path)))]
     lines = [(number, row) for number, row in enumerate(rows, 1) if any(row)]
-    if len(lines) < 2:
-        raise InputError(
-            f"{path}: must have a row of column names, {', '.join(columns)}, and a row for each thing named"
-        )
+    if not lines:
+        raise InputError(f"{path} is empty: it must start with a row of column names, {', '.join(columns)}")
     head = lines[0][1]
     missing = [name for name in columns if name not in head]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; there are {', '.join(head)}")
+    if len(lines) < 2:
+        raise InputError(f"{path} has no rows below its column names")
     for number, row in lines[1:]:
         if len(row) != len(head):
             raise InputError(f"{path}: row {number} must have {len(head)} columns as the first one has; got {len(row)}")
