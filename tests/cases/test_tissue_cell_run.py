@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 import cicatrix
 from cicatrix.cli.main import main
+from cicatrix.core.errors import ConvergenceError
 from cicatrix.io import tissue_cell_run
 from cicatrix.io.cases import check_case, load_case
 
@@ -130,3 +131,19 @@ def test_what_is_refused(settings, sentence, capsys):
     (said,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("cicatrix: ")]
     assert sentence in said
     assert "feedback" in sentence or len(check_case(EXAMPLE, settings)) == 1
+
+
+RELEASED = ["loading.time_h=[0.0, 24.0, 3000.0, 3024.0]", "loading.stretch=[1.0, 1.3, 1.3, 1.0]", "loading.n_rows=100"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ([*SHORT, "solver.max_steps=10"], "solver.max_steps = 10 were taken; raise it."),
+        (RELEASED, "cells pull more than the substrate bears there."),
+    ],
+)
+def test_why_it_could_not_be_followed(settings, words):
+    with pytest.raises(ConvergenceError, match="could not be followed beyond") as error:
+        cicatrix.simulate(load_case(EXAMPLE, settings))
+    assert str(error.value).endswith(words)
