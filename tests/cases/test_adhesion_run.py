@@ -278,6 +278,10 @@ UNSOUND = {
         "feedback does not hold: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got -0.5 at",
     ),
     "slack": ([FIBRE], "substrate.stretch 0.7: the tangent stiffness there must be positive; got -"),
+    "overflow": (
+        [FIBRE.replace("0.7]", "10.0]")],
+        "substrate.stretch 10: the stress of the substrate overflows there",
+    ),
     "too strong": (
         ["cell.force_pN=1e9"],
         "the adhesion has no finite k_off at a stretch of 1: a force of 1e+09 pN is too much",

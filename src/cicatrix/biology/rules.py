@@ -82,7 +82,7 @@ def unknown_species(name: str, known: Iterable[str], kind: str = "species") -> s
     if near:
         return f'names the unknown {kind} "{name}"; did you mean "{lower[near[0]]}"?'
     listed = sorted(lower.values())
-    return f'names the unknown {kind} "{name}"; known: {", ".join(listed[:20])}{", ..." if len(listed) > 20 else ""}'
+    return f'names the unknown {kind} "{name}"; known: {", ".join(listed[:20]) or "none"}{", ..." if len(listed) > 20 else ""}'
 
 
 def _name(text: str, tokens: list[_Token], i: int) -> str:

@@ -27,8 +27,8 @@ MOST_CHANCE = 0.1  # of a bond to switch in a fixed step, above which it is note
 TABLE_ERROR = 1e-3  # above it the curve has corners that no table follows
 
 
-def adhesion_of(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
-    """Make the adhesion of a case, and sentences about how.
+def adhesion_of(case: AdhesionCase, stretches: str = "substrate.stretch") -> tuple[Adhesion, list[str]]:
+    """Make the adhesion of a case, and sentences about how; ``stretches`` is the key that they were given by.
 
     Raises
     ------
@@ -39,14 +39,14 @@ def adhesion_of(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
     """
     contraction, notes = contraction_of(case.cell), list[str]()
     if case.substrate.type in LAW_SUBSTRATES:
-        substrate, error = _tissue(case, contraction)
+        substrate, error = _tissue(case, contraction, stretches)
         notes = [
             f"The substrate's law was tabulated in uniaxial tension; error of the table {error:.1g} of its largest stress."
         ]
     else:
         substrate = _simple(case)
     law = Adhesion(bond_of(case.bond), substrate, contraction, case.cell.integrins_per_um2, case.bond.energy)
-    _check(law, case)
+    _check(law, case, stretches)
     return law, notes + _of_steps(law, case)
 
 
@@ -120,7 +120,7 @@ def _material(case: AdhesionCase) -> EnergyMaterial:
     return law_of(SimpleNamespace(law=(case.substrate,), growth=None))
 
 
-def _tissue(case: AdhesionCase, contraction: Contraction) -> tuple[Column, float]:
+def _tissue(case: AdhesionCase, contraction: Contraction, stretches: str) -> tuple[Column, float]:
     """A column of a law, tabulated as far as the cell pulls it."""
     tension, table = Tension(_material(case)), case.substrate
     stretch = np.array(table.stretch)
@@ -130,7 +130,7 @@ def _tissue(case: AdhesionCase, contraction: Contraction) -> tuple[Column, float
         column = Column(curve, table.area_um2, table.length_um)
         pull = _pulled(column, contraction, stretch)
         k = np.asarray(pull.stiffness)
-        _check_stiffness(k, table.stretch)
+        _check_stiffness(k, table.stretch, stretches)
         contraction.check(k)
         needed = float(np.max(stretch + np.asarray(pull.force) / (k * table.length_um)))
         pulled = stretch + np.asarray(pull.displacement) / table.length_um
@@ -151,12 +151,12 @@ def _pulled(column: Column, contraction: Contraction, stretch: Array) -> Pull:
     return column.pulled(contraction, stretch, 0.0)
 
 
-def _check(law: Adhesion, case: AdhesionCase) -> None:
+def _check(law: Adhesion, case: AdhesionCase, stretches: str) -> None:
     """Refuse what does not hold, before any time is spent."""
     substrate, stretch = law.substrate, case.substrate.stretch
     if isinstance(substrate, Column):
         k = np.asarray(_pulled(substrate, law.contraction, np.array(stretch)).stiffness)
-        _check_stiffness(k, stretch)
+        _check_stiffness(k, stretch, stretches)
         law.contraction.check(k)
     elif isinstance(substrate, LinearSubstrate):
         law.contraction.check(np.asarray(substrate.k))
@@ -178,9 +178,9 @@ def _check_finite(law: Adhesion, stretch: tuple[float, ...], time: float) -> Non
             )
 
 
-def _check_stiffness(k: np.ndarray, stretch: tuple[float, ...]) -> None:
-    if not np.all(k > 0.0):
-        i = int(np.argmin(k > 0.0))
-        raise InputError(
-            f"substrate.stretch {stretch[i]:g}: the tangent stiffness there must be positive; got {k[i]:.4g} pN/um"
-        )
+def _check_stiffness(k: np.ndarray, stretch: tuple[float, ...], stretches: str) -> None:
+    for one, value in zip(stretch, k):
+        if not np.isfinite(value):
+            raise InputError(f"{stretches} {one:g}: the stress of the substrate overflows there")
+        if value <= 0.0:
+            raise InputError(f"{stretches} {one:g}: the tangent stiffness there must be positive; got {value:.4g} pN/um")

@@ -64,7 +64,7 @@ def model_of(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | Non
         cell=case.cell,
         method=MethodTable(duration_s=1.0),
     )
-    adhesion, notes = adhesion_of(by_itself)
+    adhesion, notes = adhesion_of(by_itself, "loading.stretch")
     chain = Chain(adhesion, _signal(case, network), case.turnover.build(), case.growth_density)
     first, scale = case.start, case.scale
     rho = 1.0 if first.rho_per_mm3 is None else first.rho_per_mm3 / scale.rho_phys_per_mm3
@@ -82,7 +82,11 @@ def _signal(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | None
     if isinstance(table, NetworkSignalTable):
         if network is None:
             raise InputError("signal.species and signal.reactions must be read first")
-        return NetworkSignal(network[0], TractionSignal(table.K_kPa, table.threshold_kPa), table.input, table.output)
+        traction = TractionSignal(table.K_kPa, table.threshold_kPa)
+        try:
+            return NetworkSignal(network[0], traction, table.input, table.output)
+        except InputError as error:
+            raise InputError(f"signal.{error}") from None
     cell = Moreo(table.K_pass_kPa, table.K_act_kPa, table.p_max_kPa, table.theta_1, table.theta_2)
     return StrainSignal(cell, table.K_kPa)
 
