@@ -206,6 +206,7 @@ def test_examples_run(path, tmp_path):
 
 
 FEEDBACK = "cell={feedback={f0_pN=100.0, beta=3.0, k_a_pN_um=2e4, k_N_pN_um=4e4}}"
+CATCH = "catch={k_catch_per_s=1.0, k_slip_per_s=1.0, f_catch_pN=1.0, f_slip_pN=1.0}"
 FAULTS = {
     "rate 0": (["bond.k_on_per_s=0.0"], "bond.k_on_per_s must be at least 1e-12; got 0.0"),
     "negative rate": (["bond.k_off_per_s=-1.0"], "bond.k_off_per_s must be at least 1e-12; got -1.0"),
@@ -213,6 +214,14 @@ FAULTS = {
     "both manners to open": (
         ["bond.catch={k_catch_per_s=1.0, k_slip_per_s=1.0, f_catch_pN=1.0, f_slip_pN=1.0}"],
         "bond.k_off_per_s and catch exclude each other: catch has rates of its own",
+    ),
+    "energy of a catch bond": (
+        [f"bond={{k_on_per_s=1.0, energy='stored', {CATCH}}}"],
+        "bond.energy and catch exclude each other: such a bond heeds the force alone",
+    ),
+    "heat of a catch bond": (
+        [f"bond={{k_on_per_s=1.0, kT_pN_um=4e-3, {CATCH}}}"],
+        "bond.kT_pN_um and catch exclude each other: such a bond heeds the force alone",
     ),
     "energy": (["bond.energy=both"], 'bond.energy must be "work" or "stored"; got "both"'),
     "both forces": (

@@ -39,6 +39,9 @@ class BondTable(Table):
         if (self.catch is None) == (self.k_off_per_s is None):
             words = "is missing" if self.catch is None else "and catch exclude each other: catch has rates of its own"
             raise fault("k_off_per_s", words)
+        for key in ("energy", "kT_pN_um"):
+            if self.catch is not None and key in self.model_fields_set:
+                raise fault(key, "and catch exclude each other: such a bond heeds the force alone")
         return self
 
 
