@@ -333,13 +333,22 @@ def test_outcome_is_plain(case_file, tmp_path, no_pictures):
 def test_long_steps_are_noted(dt, chance, case_file):
     """By hand: 1 - exp(-10 * 0.012 exp(49 / 2e4 / kT)) = 0.19."""
     _, notes = adhesion_of(load_case(case_file, [*STEPS, f"method.dt_s={dt}"]))
-    words = f"A bond switches with a chance of {chance} in one step of {dt[:-2]} s: a shorter method.dt_s is more exact."
+    words = (
+        f"A bond switches with a chance of {chance} in one step of {dt[:-2]} s: a shorter method.dt_s is more exact."
+    )
     assert notes == ([words] if chance else [])
 
 
 @pytest.mark.parametrize("ground", [SOLID, "substrate={type='maxwell', stiffness_pN_um=1e3, viscosity_pN_s_um=1e4}"])
 def test_clutches_on_ground_that_yields(ground, case_file, no_pictures):
-    settings = [ground, "cell={clutch={}}", *STEPS, "method.n_integrins=20", "method.duration_s=10.0", "method.dt_s=0.1"]
+    settings = [
+        ground,
+        "cell={clutch={}}",
+        *STEPS,
+        "method.n_integrins=20",
+        "method.duration_s=10.0",
+        "method.dt_s=0.1",
+    ]
     assert np.isfinite(cicatrix.simulate(load_case(case_file, settings)).history["force_pN"]).all()
 
 
@@ -351,6 +360,8 @@ def test_motors_and_clutches(case_file, tmp_path, no_pictures):
     straight = cicatrix.simulate(case, tmp_path / "straight")
     assert straight.outcome["cell_force_pN"].value == pytest.approx([100.0, 100.0], rel=1e-6)
     assert straight.outcome["flow_um_per_s"].value == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert list(straight.history) == [*COLUMNS, "cell_force_pN", "flow_um_per_s"]
+    assert straight.history["cell_force_pN"][-1] == pytest.approx(100.0, rel=1e-6)
     assert straight.history["force_pN"][-1] == pytest.approx(2.5, rel=1e-6)
     assert straight.history["traction_kPa"][-1] == pytest.approx(1.0, rel=1e-6)
     with pytest.raises(KeyboardInterrupt):
@@ -365,3 +376,8 @@ def test_cluster_of_a_case(case_file, no_pictures):
     r2, r1 = 2 * 0.012 * np.exp(49 / 2e4 / KT), 0.012 * np.exp(14**2 / 2e4 / KT)
     by_hand = 1 / r2 + (1 + 0.01 / r2) / r1
     assert results.outcome["cluster_lifetime_s"].value == pytest.approx([by_hand, by_hand], rel=1e-10)
+    assert results.outcome["shortest_cluster_lifetime_s"].value == pytest.approx(by_hand, rel=1e-10)
+    f = np.linspace(1.0, 30.0, 100_001)
+    most = 2 * np.max(f * 0.01 / (0.01 + 0.012 * np.exp(f**2 / 2e4 / KT)))
+    assert results.outcome["critical_force_pN"].value == pytest.approx([most, most], rel=1e-6)
+    assert results.outcome["least_critical_force_pN"].value == pytest.approx(most, rel=1e-6)

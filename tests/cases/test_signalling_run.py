@@ -179,7 +179,11 @@ REFUSED = {
     "ec50": ({"reactions": REACTIONS.replace("0.5,y", "0.7,y")}, [], 'reaction "r2": ec50 must be above 0 and below'),
     "text": ({"species": SPECIES.replace("0.2", "low")}, [], '"A": y_init must be a number; got "low"'),
     "tau": ({"species": SPECIES.replace("0,0.5,2", "0,0.5,0")}, [], 'species "C": tau_h must be above 0; got 0'),
-    "tau below 0": ({"species": SPECIES.replace("0,0.5,2", "0,0.5,-1")}, [], 'species "C": tau_h must be above 0; got -1'),
+    "tau below 0": (
+        {"species": SPECIES.replace("0,0.5,2", "0,0.5,-1")},
+        [],
+        'species "C": tau_h must be above 0; got -1',
+    ),
     "no number at all": ({"species": SPECIES.replace("0.2", "nan")}, [], '"A": y_init must be a number; got "nan"'),
     "start": ({"species": SPECIES.replace("0.2", "-0.2")}, [], 'species "A": y_init must be at least 0; got -0.2'),
     "column": (

@@ -145,7 +145,10 @@ def test_what_is_refused(settings, sentence, capsys):
     ("settings", "sentence"),
     [
         (["cell.feedback.beta=8.0"], "feedback does not hold"),
-        (["loading.stretch=[1.0, 0.7, 0.7]"], "loading.stretch 0.7: the tangent stiffness there must be positive; got -"),
+        (
+            ["loading.stretch=[1.0, 0.7, 0.7]"],
+            "loading.stretch 0.7: the tangent stiffness there must be positive; got -",
+        ),
         (["loading.stretch=[1.0, 10.0, 10.0]"], "loading.stretch 10: the stress of the substrate overflows there"),
         (network("stif", "YAP"), 'signal.input names the unknown input "stif"; did you mean "stiffness"?'),
         (network("stiffness", "YAB"), 'signal.output names the unknown output "YAB"; did you mean "YAP"?'),

@@ -98,7 +98,9 @@ def _of_steps(law: Adhesion, case: AdhesionCase) -> list[str]:
     for time in (0.0, case.method.duration_s):
         rates.append(float(np.max(anchored(law, np.array(case.substrate.stretch), time).k_off)))
     chance = -np.expm1(-dt * np.nanmax(rates))
-    words = f"A bond switches with a chance of {chance:.2g} in one step of {dt:g} s: a shorter method.dt_s is more exact."
+    words = (
+        f"A bond switches with a chance of {chance:.2g} in one step of {dt:g} s: a shorter method.dt_s is more exact."
+    )
     return [words] if chance > MOST_CHANCE else []
 
 
@@ -183,4 +185,6 @@ def _check_stiffness(k: np.ndarray, stretch: tuple[float, ...], stretches: str) 
         if not np.isfinite(value):
             raise InputError(f"{stretches} {one:g}: the stress of the substrate overflows there")
         if value <= 0.0:
-            raise InputError(f"{stretches} {one:g}: the tangent stiffness there must be positive; got {value:.4g} pN/um")
+            raise InputError(
+                f"{stretches} {one:g}: the tangent stiffness there must be positive; got {value:.4g} pN/um"
+            )

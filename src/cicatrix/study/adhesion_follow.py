@@ -31,6 +31,8 @@ class Bonds(NamedTuple):
     """Its standard deviation between cells [1]; 0 of the mean field."""
     force: np.ndarray
     """Of one closed bond, in the mean [pN]."""
+    others: dict[str, np.ndarray] = {}  # noqa: RUF012 - never changed
+    """What clutches have beside, by column, each (s,)."""
 
 
 @dataclass(frozen=True)
@@ -200,9 +202,11 @@ class Clutched:
         """Mean and standard deviation over the cells of a stretch; the force is shared by the closed ones."""
         now = _unpacked(bound)
         each = now.bound.mean(axis=1).reshape(-1, self.case.n_cells)
-        force = self.clutch.force(self._ground, now).reshape(each.shape).sum(axis=1)
+        force = self.clutch.force(self._ground, now).reshape(each.shape)
         closed = each.sum(axis=1) * now.bound.shape[1]
-        return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), force / np.maximum(closed, 1.0))
+        flow = self.clutch.flow(self._ground, now).reshape(each.shape).mean(axis=1)
+        others = {"cell_force_pN": force.mean(axis=1), "flow_um_per_s": flow}
+        return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), force.sum(axis=1) / np.maximum(closed, 1.0), others)
 
 
 def _packed(now: Clutches) -> np.ndarray:
