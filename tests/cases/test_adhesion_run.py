@@ -206,6 +206,7 @@ def test_examples_run(path, tmp_path):
 
 
 FEEDBACK = "cell={feedback={f0_pN=100.0, beta=3.0, k_a_pN_um=2e4, k_N_pN_um=4e4}}"
+CATCH = "catch={k_catch_per_s=1.0, k_slip_per_s=1.0, f_catch_pN=1.0, f_slip_pN=1.0}"
 FAULTS = {
     "rate 0": (["bond.k_on_per_s=0.0"], "bond.k_on_per_s must be at least 1e-12; got 0.0"),
     "negative rate": (["bond.k_off_per_s=-1.0"], "bond.k_off_per_s must be at least 1e-12; got -1.0"),
@@ -213,6 +214,14 @@ FAULTS = {
     "both manners to open": (
         ["bond.catch={k_catch_per_s=1.0, k_slip_per_s=1.0, f_catch_pN=1.0, f_slip_pN=1.0}"],
         "bond.k_off_per_s and catch exclude each other: catch has rates of its own",
+    ),
+    "energy of a catch bond": (
+        [f"bond={{k_on_per_s=1.0, energy='stored', {CATCH}}}"],
+        "bond.energy and catch exclude each other: such a bond heeds the force alone",
+    ),
+    "heat of a catch bond": (
+        [f"bond={{k_on_per_s=1.0, kT_pN_um=4e-3, {CATCH}}}"],
+        "bond.kT_pN_um and catch exclude each other: such a bond heeds the force alone",
     ),
     "energy": (["bond.energy=both"], 'bond.energy must be "work" or "stored"; got "both"'),
     "both forces": (
@@ -232,7 +241,15 @@ FAULTS = {
     "steps of the mean": (["method.dt_s=1.0"], 'method.dt_s must be left out for type = "ode"'),
     "long step": (
         ["method.type=monte-carlo", "method.n_integrins=5", "method.dt_s=1e3"],
-        "method.dt_s must give 1 to 2^32 - 1 steps in duration_s = 100; got 1000",
+        "method.dt_s must give a whole number of steps, 1 to 2^32 - 1, in duration_s = 100; got 1000, 0.1 steps",
+    ),
+    "a part of a step": (
+        ["method.type=monte-carlo", "method.n_integrins=5", "method.dt_s=0.3"],
+        "method.dt_s must give a whole number of steps, 1 to 2^32 - 1, in duration_s = 100; got 0.3, 333.333 steps",
+    ),
+    "long step of clutches": (
+        ["method.type=monte-carlo", "method.n_integrins=5", "method.dt_s=150.0", "cell={clutch={}}"],
+        "method.dt_s must give a whole number of steps, 1 to 2^32 - 1, in duration_s = 100; got 150",
     ),
     "too many bonds": (
         ["method.type=ssa", "method.n_integrins=100000000"],
@@ -270,9 +287,25 @@ UNSOUND = {
         "feedback does not hold: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got -0.5 at",
     ),
     "slack": ([FIBRE], "substrate.stretch 0.7: the tangent stiffness there must be positive; got -"),
+    "overflow": (
+        [FIBRE.replace("0.7]", "10.0]")],
+        "substrate.stretch 10: the stress of the substrate overflows there",
+    ),
     "too strong": (
         ["cell.force_pN=1e9"],
         "the adhesion has no finite k_off at a stretch of 1: a force of 1e+09 pN is too much",
+    ),
+    "too strong in the end": (
+        [SOLID, *EXACT, "cell.force_pN=200.0"],
+        "the adhesion has no finite k_off at a stretch of 1 after 300 s: a force of 200 pN is too much for this substrate",
+    ),
+    "too many events": (
+        [SOLID, *EXACT, "cell.force_pN=100.0"],
+        'method.type = "ssa" would take about ',
+    ),
+    "too many events of the still": (
+        [*EXACT, "bond.k_on_per_s=1e6", "bond.k_off_per_s=1e6"],
+        "beyond 1e+07 and 1e+10; give less duration_s or force",
     ),
 }
 
@@ -296,6 +329,29 @@ def test_outcome_is_plain(case_file, tmp_path, no_pictures):
     assert all(set(asked) == {"value", "unit", "note"} for asked in outcome.values())
 
 
+@pytest.mark.parametrize(("dt", "chance"), [("10.0", "0.19"), ("1.0", None)])
+def test_long_steps_are_noted(dt, chance, case_file):
+    """By hand: 1 - exp(-10 * 0.012 exp(49 / 2e4 / kT)) = 0.19."""
+    _, notes = adhesion_of(load_case(case_file, [*STEPS, f"method.dt_s={dt}"]))
+    words = (
+        f"A bond switches with a chance of {chance} in one step of {dt[:-2]} s: a shorter method.dt_s is more exact."
+    )
+    assert notes == ([words] if chance else [])
+
+
+@pytest.mark.parametrize("ground", [SOLID, "substrate={type='maxwell', stiffness_pN_um=1e3, viscosity_pN_s_um=1e4}"])
+def test_clutches_on_ground_that_yields(ground, case_file, no_pictures):
+    settings = [
+        ground,
+        "cell={clutch={}}",
+        *STEPS,
+        "method.n_integrins=20",
+        "method.duration_s=10.0",
+        "method.dt_s=0.1",
+    ]
+    assert np.isfinite(cicatrix.simulate(load_case(case_file, settings)).history["force_pN"]).all()
+
+
 def test_motors_and_clutches(case_file, tmp_path, no_pictures):
     """Bonds that never open stall 50 motors of 2 pN: 100 pN on 40 clutches is 2.5 pN each and 1 kPa at 400 per um^2."""
     settings = ["cell={clutch={}}", "bond.k_off_per_s=1e-12", "method.start_bound_fraction=1.0", *STEPS[2:]]
@@ -304,6 +360,8 @@ def test_motors_and_clutches(case_file, tmp_path, no_pictures):
     straight = cicatrix.simulate(case, tmp_path / "straight")
     assert straight.outcome["cell_force_pN"].value == pytest.approx([100.0, 100.0], rel=1e-6)
     assert straight.outcome["flow_um_per_s"].value == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert list(straight.history) == [*COLUMNS, "cell_force_pN", "flow_um_per_s"]
+    assert straight.history["cell_force_pN"][-1] == pytest.approx(100.0, rel=1e-6)
     assert straight.history["force_pN"][-1] == pytest.approx(2.5, rel=1e-6)
     assert straight.history["traction_kPa"][-1] == pytest.approx(1.0, rel=1e-6)
     with pytest.raises(KeyboardInterrupt):
@@ -318,3 +376,8 @@ def test_cluster_of_a_case(case_file, no_pictures):
     r2, r1 = 2 * 0.012 * np.exp(49 / 2e4 / KT), 0.012 * np.exp(14**2 / 2e4 / KT)
     by_hand = 1 / r2 + (1 + 0.01 / r2) / r1
     assert results.outcome["cluster_lifetime_s"].value == pytest.approx([by_hand, by_hand], rel=1e-10)
+    assert results.outcome["shortest_cluster_lifetime_s"].value == pytest.approx(by_hand, rel=1e-10)
+    f = np.linspace(1.0, 30.0, 100_001)
+    most = 2 * np.max(f * 0.01 / (0.01 + 0.012 * np.exp(f**2 / 2e4 / KT)))
+    assert results.outcome["critical_force_pN"].value == pytest.approx([most, most], rel=1e-6)
+    assert results.outcome["least_critical_force_pN"].value == pytest.approx(most, rel=1e-6)

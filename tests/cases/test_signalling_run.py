@@ -179,6 +179,12 @@ REFUSED = {
     "ec50": ({"reactions": REACTIONS.replace("0.5,y", "0.7,y")}, [], 'reaction "r2": ec50 must be above 0 and below'),
     "text": ({"species": SPECIES.replace("0.2", "low")}, [], '"A": y_init must be a number; got "low"'),
     "tau": ({"species": SPECIES.replace("0,0.5,2", "0,0.5,0")}, [], 'species "C": tau_h must be above 0; got 0'),
+    "tau below 0": (
+        {"species": SPECIES.replace("0,0.5,2", "0,0.5,-1")},
+        [],
+        'species "C": tau_h must be above 0; got -1',
+    ),
+    "no number at all": ({"species": SPECIES.replace("0.2", "nan")}, [], '"A": y_init must be a number; got "nan"'),
     "start": ({"species": SPECIES.replace("0.2", "-0.2")}, [], 'species "A": y_init must be at least 0; got -0.2'),
     "column": (
         {"species": SPECIES.replace("tau_h", "tau")},
@@ -192,7 +198,9 @@ REFUSED = {
     ),
     "twice": ({"species": SPECIES + "A,0,1,1\n"}, [], 'species "A" stands twice'),
     "column of the history": ({"species": SPECIES + "step,0,1,1\n"}, [], 'species "step" must have another name'),
-    "empty": ({"species": "id\n"}, [], "must have a row of column names, id, y_init, y_max, tau_h"),
+    "empty": ({"species": "\n"}, [], "is empty: it must start with a row of column names, id, y_init, y_max, tau_h"),
+    "no rows": ({"species": "id,y_init,y_max,tau_h\n"}, [], "species.csv has no rows below its column names"),
+    "a folder": ({}, ["network.species=."], " is a folder; a file is needed"),
     "no input": ({}, ["set.B=1"], 'set names "B", which is no input of the network; known: A'),
     "no output": (
         {},

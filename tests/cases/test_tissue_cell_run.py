@@ -9,8 +9,11 @@ from scipy.optimize import brentq
 
 import cicatrix
 from cicatrix.cli.main import main
+from cicatrix.core.errors import ConvergenceError, InputError
 from cicatrix.io import tissue_cell_run
 from cicatrix.io.cases import check_case, load_case
+from cicatrix.io.tissue_cell_run import network_of
+from cicatrix.study.tissue_cell import model_of
 
 pytestmark = pytest.mark.xdist_group("tissue-cell")  # compiled once
 
@@ -110,6 +113,13 @@ def test_the_example_and_other_signals():
     np.testing.assert_allclose(history["signal"], history["activity_YAP"])
 
 
+FILES = 'species = "signalling/species.csv", reactions = "signalling/reactions.csv"'
+
+
+def network(driven, output):
+    return [f'signal={{type="network", {FILES}, input="{driven}", output="{output}"}}']
+
+
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
@@ -120,7 +130,7 @@ def test_the_example_and_other_signals():
         (["signal.K_kPa=0.0"], "signal.K_kPa must be above 0; got 0"),
         (["signal.type=stretch"], 'signal.type must be "traction", "moreo" or "network"; got "stretch"'),
         (["law.0.viscous={beta=1.0, relaxation_s=1.0}"], "law must be elastic"),
-        (["cell.feedback.beta=8.0"], "feedback does not hold"),
+        (["cell={clutch={}}"], "cell.clutch must be left out: give force_pN or feedback"),
     ],
 )
 def test_what_is_refused(settings, sentence, capsys):
@@ -128,4 +138,39 @@ def test_what_is_refused(settings, sentence, capsys):
     assert main(arguments) == 2
     (said,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("cicatrix: ")]
     assert sentence in said
-    assert "feedback" in sentence or len(check_case(EXAMPLE, settings)) == 1
+    assert len(check_case(EXAMPLE, settings)) == 1
+
+
+@pytest.mark.parametrize(
+    ("settings", "sentence"),
+    [
+        (["cell.feedback.beta=8.0"], "feedback does not hold"),
+        (
+            ["loading.stretch=[1.0, 0.7, 0.7]"],
+            "loading.stretch 0.7: the tangent stiffness there must be positive; got -",
+        ),
+        (["loading.stretch=[1.0, 10.0, 10.0]"], "loading.stretch 10: the stress of the substrate overflows there"),
+        (network("stif", "YAP"), 'signal.input names the unknown input "stif"; did you mean "stiffness"?'),
+        (network("stiffness", "YAB"), 'signal.output names the unknown output "YAB"; did you mean "YAP"?'),
+    ],
+)
+def test_what_does_not_hold_is_told(settings, sentence):
+    with pytest.raises(InputError) as error:
+        model_of(case := load_case(EXAMPLE, settings), network_of(case))
+    assert sentence in str(error.value)
+
+
+RELEASED = ["loading.time_h=[0.0, 24.0, 3000.0, 3024.0]", "loading.stretch=[1.0, 1.3, 1.3, 1.0]", "loading.n_rows=100"]
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ([*SHORT, "solver.max_steps=10"], "solver.max_steps = 10 were taken; raise it."),
+        (RELEASED, "cells pull more than the substrate bears there."),
+    ],
+)
+def test_why_it_could_not_be_followed(settings, words):
+    with pytest.raises(ConvergenceError, match="could not be followed beyond") as error:
+        cicatrix.simulate(load_case(EXAMPLE, settings))
+    assert str(error.value).endswith(words)

@@ -122,6 +122,13 @@ def test_a_network_of_hill_functions_written_as_sbml_is_itself(tmp_path):
 RULE = (
     '<listOfParameters><parameter id="x" value="1" constant="false"/></listOfParameters><listOfRules>{}</listOfRules>'
 )
+SPECIES = (
+    '<listOfCompartments><compartment id="c" spatialDimensions="3" size="1" constant="true"/></listOfCompartments>'
+    '<listOfSpecies><species id="S" compartment="c" initialAmount="1" hasOnlySubstanceUnits="true" boundaryCondition="false" '
+    'constant="false"/></listOfSpecies><listOfParameters><parameter id="k" value="1" constant="true"/></listOfParameters>'
+    '<listOfReactions><reaction id="r" reversible="false" fast="false"><listOfReactants><speciesReference species="S" '
+    'stoichiometry="1" constant="true"/></listOfReactants>{}</reaction></listOfReactions>'
+)
 REFUSED = {
     "events": (
         RULE.format(f'<rateRule variable="x"><math {MATH}><cn>1</cn></math></rateRule>')
@@ -144,6 +151,15 @@ REFUSED = {
         RULE.format(f'<rateRule variable="x"><math {MATH}><apply><factorial/><ci>x</ci></apply></math></rateRule>'),
         'uses the function "factorial", which cicatrix does not support',
     ),
+    "unknown": (
+        SPECIES.format(f"<kineticLaw><math {MATH}><apply><times/><ci>K</ci><ci>S</ci></apply></math></kineticLaw>"),
+        'reaction "r" names the unknown id "K"; did you mean "k"?',
+    ),
+    "unknown in a rule": (
+        RULE.format(f'<rateRule variable="x"><math {MATH}><ci>speed</ci></math></rateRule>'),
+        'the rule of "x" names the unknown id "speed"; known: x',
+    ),
+    "without a law": (SPECIES.format(""), 'reaction "r" has no kinetic law'),
     "nothing": ("", "nothing changes in this model: it has no reaction and no rate rule"),
     "no value": (
         '<listOfParameters><parameter id="x" constant="false"/></listOfParameters><listOfRules>'
@@ -164,11 +180,25 @@ def test_what_is_not_supported_is_named(name, tmp_path):
     assert str(path) in str(error.value)
 
 
-def test_no_xml_is_refused(tmp_path):
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (" \n", "is empty"),
+        ("species,reaction\n", "is no file of SBML: there is no <sbml> in it"),
+        ("<html></html>", "is no file of SBML: there is no <sbml> in it"),
+        ("<sbml", "not valid SBML"),
+    ],
+)
+def test_no_sbml_is_refused(text, words, tmp_path):
     path = tmp_path / "model.xml"
-    path.write_text("species,reaction\n")
-    with pytest.raises(InputError, match=r"line \d: not valid SBML"):
+    path.write_text(text)
+    with pytest.raises(InputError, match=words):
         read_sbml(path)
+
+
+def test_a_folder_is_refused(tmp_path):
+    with pytest.raises(InputError, match=f"^{re.escape(str(tmp_path))} is a folder; a file is needed$"):
+        read_sbml(tmp_path)
 
 
 def test_a_formula_of_everything(tmp_path):

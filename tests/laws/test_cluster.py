@@ -4,7 +4,7 @@ import jax
 import numpy as np
 import pytest
 
-from cicatrix.biology.cluster import ForceSharing, mean_lifetime, sample_lifetimes, shared
+from cicatrix.biology.cluster import ForceSharing, critical_load, mean_lifetime, sample_lifetimes, shared
 
 
 @pytest.mark.parametrize("size", [1, 2, 10, 100])
@@ -79,3 +79,10 @@ def test_shared_is_the_cluster_of_bell_bonds():
     np.testing.assert_allclose(found, law.lifetime(6, np.array([6.0, 18.0]) / 4.0) / 0.02, rtol=1e-12)
     alone = shared(6, np.array(0.0), lambda force: 0.02 + 0.0 * force, 0.03, False)
     assert float(alone) == pytest.approx(2.45 / 0.02, rel=1e-12)  # H_6 = 2.45
+
+
+@pytest.mark.parametrize("gamma", [0.1, 1.0, 30.0])
+def test_critical_load_is_that_of_shared_force(gamma):
+    """k_off = e^f, k_on = gamma: searched for, and in closed form."""
+    (found,) = critical_load(7, jax.numpy.exp, np.array([gamma]))
+    assert found == pytest.approx(float(ForceSharing(gamma).critical_force(7)), rel=1e-9)

@@ -140,9 +140,9 @@ RULES = {
     "TGFB =>": "at column 8: a species expected, found its end",
     "TGFB": 'at column 5: "&" or "=>" expected, found its end',
     "": "at column 1: a species expected, found its end",
-    "TGFB => a & b": 'at column 11: the end of the rule, which has one target expected, found "&"',
+    "TGFB => a & b": 'at column 11: one target and then the end of the rule expected, found "&"',
     "!!a => b": 'at column 2: a species expected, found "!"',
-    "a -> b": 'at column 3: "&" or "=>" expected, found "-" (a species is written with letters, digits and _)',
+    "a -> b": 'at column 3: "&" or "=>" expected, found "-" (an arrow is written =>)',
     "a => !b": 'at column 6: a species expected, found "!"',
 }
 

@@ -85,7 +85,7 @@ def test_a_network_is_driven_by_the_traction():
 
 
 def test_names_that_a_network_does_not_have():
-    with pytest.raises(InputError, match='input: the network has no such input "YAP"; it has force'):
+    with pytest.raises(InputError, match='input names the unknown input "YAP"; known: force'):
         NetworkSignal(network(), TractionSignal(), "YAP", "YAP")
-    with pytest.raises(InputError, match='output: the network has no such output "SMAD"; it has force, YAP'):
+    with pytest.raises(InputError, match='output names the unknown output "SMAD"; known: YAP, force'):
         NetworkSignal(network(), TractionSignal(), "force", "SMAD")

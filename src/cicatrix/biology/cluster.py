@@ -12,6 +12,8 @@ from ..core.law import Law, param
 from ..core.random import Phase, site_words
 from ..core.roots import rising_root
 
+SEARCHED_PN, N_SEARCHED = (1e-4, 1e6), 512  # forces of one bond, at equal ratios
+
 
 class ForceSharing(Law):
     r"""Cluster under a constant force, in units of a bond's own rate of opening and of the force that speeds it up e-fold.
@@ -116,3 +118,27 @@ def shared(size: int, per_bond: Array, k_off: Callable[[Array], Array], k_on: Ar
     opening = closed * k_off(jnp.asarray(per_bond)[..., None] * size / closed)
     closing = (jnp.asarray(k_on)[..., None] * (size - closed)) * float(rebinding) + jnp.zeros_like(opening)
     return mean_lifetime(opening, closing)
+
+
+def critical_load(size: int, k_off: Callable[[Array], Array], k_on: np.ndarray) -> np.ndarray:
+    r"""Largest force (s,) [pN] under which the mean number of closed bonds has a fixed point, in s places.
+
+    N bonds that each bear f hold :math:`F = N f \, k_{on} / (k_{on} + k_{off}(f))` together; the largest F is searched for. Of
+    :class:`ForceSharing` it is :meth:`ForceSharing.critical_force`.
+
+    Parameters
+    ----------
+    k_off : callable
+        Rate of opening of one bond under a force (s, n) [pN] -> (s, n) [1/s].
+    k_on : (s,) array [1/s]
+        Rate of closing of one.
+    """
+    low, high = (np.full(k_on.shape, np.log(force)) for force in SEARCHED_PN)
+    for _ in range(3):  # the last grid is fine to 1e-6
+        step = (high - low) / (N_SEARCHED - 1)
+        force = np.exp(low[:, None] + step[:, None] * np.arange(N_SEARCHED))
+        bound = k_on[:, None] / (k_on[:, None] + np.asarray(k_off(jnp.asarray(force))))
+        held = np.nan_to_num(force * bound)  # not a number where the substrate does not hold
+        best = held.argmax(axis=1)
+        low, high = low + (best - 1) * step, low + (best + 1) * step
+    return size * held.max(axis=1)

@@ -16,6 +16,7 @@ HINTS = {
     "&&": "AND is a single &",
     "~": "NOT is written !",
     "-": "a species is written with letters, digits and _",
+    "->": "an arrow is written =>",
     "=": "an arrow is written =>",
     ">": "an arrow is written =>",
 }
@@ -70,18 +71,18 @@ def parse_rule(text: str) -> Rule:
         factors.append(Factor(_name(text, tokens, i), is_negated))
         i += 1
     target = _name(text, tokens, i + 1)
-    _passed(text, tokens, i + 2, "", "the end of the rule, which has one target")
+    _passed(text, tokens, i + 2, "", "one target and then the end of the rule")
     return Rule(tuple(factors), target)
 
 
-def unknown_species(name: str, known: Iterable[str]) -> str:
-    """Say that a species is not there, and which known one is nearest."""
+def unknown_species(name: str, known: Iterable[str], kind: str = "species") -> str:
+    """Say that a species, or what else it should be, is not there, and which known one is nearest."""
     lower = {one.lower(): one for one in known}
     near = difflib.get_close_matches(name.lower(), lower, n=1)
     if near:
-        return f'names the unknown species "{name}"; did you mean "{lower[near[0]]}"?'
+        return f'names the unknown {kind} "{name}"; did you mean "{lower[near[0]]}"?'
     listed = sorted(lower.values())
-    return f'names the unknown species "{name}"; known: {", ".join(listed[:20])}{", ..." if len(listed) > 20 else ""}'
+    return f'names the unknown {kind} "{name}"; known: {", ".join(listed[:20]) or "none"}{", ..." if len(listed) > 20 else ""}'
 
 
 def _name(text: str, tokens: list[_Token], i: int) -> str:
@@ -98,7 +99,9 @@ def _passed(text: str, tokens: list[_Token], i: int, expected: str, words: str) 
 
 def _refuse(text: str, token: _Token, expected: str) -> NoReturn:
     found = f'found "{token.text}"' if token.text else "found its end"
-    hint = (HINTS.get(text[token.column - 2 : token.column], "") or HINTS.get(token.text, "")) if token.text else ""
+    at = token.column - 1
+    pieces = (text[at - 1 : at + 1], text[at : at + 2], token.text) if token.text else ()
+    hint = next((HINTS[piece] for piece in pieces if piece in HINTS), "")
     raise InputError(
         f'has the rule "{text}", which does not parse at column {token.column}: {expected} expected, {found}'
         f"{f' ({hint})' if hint else ''}"

@@ -14,6 +14,7 @@ from ..core.errors import InputError
 from ..core.law import Law, param
 from .moreo import Moreo
 from .network import HillNetwork
+from .rules import unknown_species
 
 
 class Signal(Protocol):
@@ -156,11 +157,9 @@ class NetworkSignal(Law):
             ("output", self.output, self.network.species),
         ):
             if name not in known:
-                raise InputError(
-                    f'{what}: the network has no such {what} "{name}"; it has {", ".join(known) or "none"}'
-                )
+                raise InputError(f"{what} {unknown_species(name, known, what)}")
         if isinstance(self.network.y_max, np.ndarray) and not np.all(self.network.y_max[..., self._row] > 0.0):
-            raise InputError(f'output: y_max of "{self.output}" must be above 0')
+            raise InputError(f'output names "{self.output}", whose y_max must be above 0; got 0')
 
     @property
     def names(self) -> tuple[str, ...]:

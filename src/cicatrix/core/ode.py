@@ -35,6 +35,12 @@ class Course(NamedTuple):
     n_steps: Array
     is_done: Array
     """Whether the last time was reached."""
+    reached: Array
+    """The last time that was reached, asked for or not."""
+    last: Array
+    """The state there (...)."""
+    is_spent: Array
+    """Whether all steps were taken."""
 
 
 def course(rate: Rate, parameters: Any, start: Array, times: Array, accuracy: Accuracy) -> Course:
@@ -52,13 +58,15 @@ def course(rate: Rate, parameters: Any, start: Array, times: Array, accuracy: Ac
         dt0=None,
         y0=start,
         args=parameters,
-        saveat=diffrax.SaveAt(ts=times),
+        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(ts=times), diffrax.SubSaveAt(t1=True)]),
         stepsize_controller=diffrax.PIDController(rtol=accuracy.relative, atol=accuracy.absolute, norm=_largest),
         max_steps=accuracy.max_steps,
         throw=False,
     )
-    is_done = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(solution.ys))
-    return Course(solution.ys, solution.stats["num_steps"], is_done)
+    (y, (last,)), (_, (reached,)) = solution.ys, solution.ts
+    is_done = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(y))
+    is_spent = solution.result == diffrax.RESULTS.max_steps_reached
+    return Course(y, solution.stats["num_steps"], is_done, reached, last, is_spent)
 
 
 def _largest(error: Array) -> Array:

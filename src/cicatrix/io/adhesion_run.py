@@ -58,7 +58,7 @@ class AdhesionRun:
                 row, bound = row + 1, further
                 if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
                     self._save(row, bound)
-                self.progress.update(row / last, f"{follower.times[row]:.4g} s")
+                self.progress.update(row / last, f"{follower.times[row]:.4g} s of {follower.times[-1]:.4g} s simulated")
         except (KeyboardInterrupt, ConvergenceError):
             self._save(row, bound)
             raise
@@ -95,6 +95,7 @@ def _rows(row: int, at: float, stretch: np.ndarray, told: Bonds, traction: np.nd
             "bound_fraction_sd": float(told.sd[i]),
             "force_pN": float(told.force[i]),
             "traction_kPa": float(traction[i]),
+            **{name: float(values[i]) for name, values in told.others.items()},
         }
         for i in range(len(stretch))
     ]

@@ -10,29 +10,37 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 MEAN = "#000000"
+PANELS = {
+    "bound_fraction": "bound fraction [1]",
+    "traction_kPa": "traction [kPa]",
+    "flow_um_per_s": "actin velocity [um/s]",
+}
 
 
 def course_figure(history: Mapping[str, np.ndarray], mean: tuple[np.ndarray, np.ndarray] | None) -> Figure:
-    """Bound fraction and traction over time, a colour per stretch; bands: one standard deviation between cells.
+    """Bound fraction and traction over time, of clutches actin's velocity too; a colour per stretch, bands: one sd between cells.
 
     ``mean`` holds times (r,) and bound fractions (r, s) of the mean field beside samples.
     """
     rows = {name: values.reshape(-1, np.sum(history["step"] == 0)) for name, values in history.items()}
-    figure = Figure(figsize=(11, 4.6), layout="constrained")
-    axes = figure.subplots(1, 2)
+    panels = {name: words for name, words in PANELS.items() if name in rows}
+    figure = Figure(figsize=(5.5 * len(panels), 4.6), layout="constrained")
+    axes = figure.subplots(1, len(panels))
     t, n = rows["time_s"][:, 0], rows["stretch"].shape[1]
     for i in range(n):
         colour = colormaps["viridis"](0.9 * i / max(n - 1, 1))
         bound, sd = rows["bound_fraction"][:, i], rows["bound_fraction_sd"][:, i]
-        axes[0].fill_between(t, bound - sd, bound + sd, color=colour, alpha=0.2, linewidth=0)
+        band = "sd between cells" if i == 0 and sd.any() else None
+        axes[0].fill_between(t, bound - sd, bound + sd, color=colour, alpha=0.2, linewidth=0, label=band)
         axes[0].plot(t, bound, color=colour, linewidth=1.3, label=f"stretch {rows['stretch'][0, i]:g}")
-        axes[1].plot(t, rows["traction_kPa"][:, i], color=colour, linewidth=1.3)
+        for ax, name in zip(axes[1:], list(panels)[1:]):
+            ax.plot(t, rows[name][:, i], color=colour, linewidth=1.3)
         if mean is not None:
             label = "mean field" if i == n - 1 else None
             axes[0].plot(mean[0], mean[1][:, i], color=MEAN, linestyle="--", linewidth=0.9, label=label)
-    for ax, name in zip(axes, ("bound fraction [1]", "traction [kPa]")):
+    for ax, words in zip(axes, panels.values()):
         ax.set_xlabel("time [s]")
-        ax.set_ylabel(name)
+        ax.set_ylabel(words)
         ax.set_ylim(bottom=0.0)
         ax.grid(alpha=0.3)
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=6, frameon=False)

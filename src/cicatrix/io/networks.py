@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,7 @@ from ..core.errors import InputError
 from ..core.units import hours_from_seconds, seconds_from_hours
 from ..study.signalling import Model, refuse_unknown
 from ..study.signalling_case import NetworkTable, SignallingCase
+from .paths import text_of
 from .sbml import read_sbml
 
 SPECIES = ("id", "y_init", "y_max", "tau_h")
@@ -69,9 +71,9 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
     states, links = _table(species, SPECIES), _table(reactions, REACTIONS)
     start, y_max, tau_h = (_numbers(species, states, key) for key in SPECIES[1:])
     weight, n, ec50 = (_numbers(reactions, links, key) for key in REACTIONS[2:])
-    if np.any(start < 0.0):
-        row = int(np.argmax(start < 0.0))
-        raise InputError(f'{species}: species "{states[row]["id"]}": y_init must be at least 0; got {start[row]:g}')
+    for key, is_good, words in (("y_init", start >= 0.0, "at least 0"), ("tau_h", tau_h > 0.0, "above 0")):
+        for row in (row for row, good in zip(states, is_good) if not good):
+            raise InputError(f'{species}: species "{row["id"]}": {key} must be {words}; got {row[key]}')
     rules = tuple(_rule(reactions, number, row) for number, row in enumerate(links))
     tau = seconds_from_hours(tau_h)
     try:
@@ -79,7 +81,7 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
         law = HillNetwork(wiring, y_max, tau, weight, n, ec50, inhibition)
     except InputError as error:
         path = species if str(error).startswith("species") else reactions
-        raise InputError(f"{path}: {str(error).replace('tau must be above 0 s', 'tau_h must be above 0')}") from None
+        raise InputError(f"{path}: {error}") from None
     notes = [f'Nothing acts on "{name}": it decays to 0.' for name in wiring.undriven]
     slowest_h = float(hours_from_seconds(tau.max()))
     return Model(law, start, weight[wiring.input_reactions], y_max, slowest_h, True, tuple(notes))
@@ -87,20 +89,16 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
 
 def _table(path: Path, columns: Sequence[str]) -> list[Row]:
     """Rows of a CSV file; empty lines are left out."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
-    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text))]
+    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text_of(path)))]
     lines = [(number, row) for number, row in enumerate(rows, 1) if any(row)]
-    if len(lines) < 2:
-        raise InputError(
-            f"{path}: must have a row of column names, {', '.join(columns)}, and a row for each thing named"
-        )
+    if not lines:
+        raise InputError(f"{path} is empty: it must start with a row of column names, {', '.join(columns)}")
     head = lines[0][1]
     missing = [name for name in columns if name not in head]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; there are {', '.join(head)}")
+    if len(lines) < 2:
+        raise InputError(f"{path} has no rows below its column names")
     for number, row in lines[1:]:
         if len(row) != len(head):
             raise InputError(f"{path}: row {number} must have {len(head)} columns as the first one has; got {len(row)}")
@@ -115,9 +113,12 @@ def _numbers(path: Path, rows: list[Row], key: str) -> np.ndarray:
 
 def _number(path: Path, row: Row, key: str) -> float:
     try:
-        return float(row[key])
+        value = float(row[key])
     except ValueError:
-        raise InputError(f'{path}: "{row["id"]}": {key} must be a number; got "{row[key]}"') from None
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(f'{path}: "{row["id"]}": {key} must be a number; got "{row[key]}"')
+    return value
 
 
 def _rule(path: Path, number: int, row: Row) -> Any:

@@ -69,6 +69,24 @@ def _project_roots(starts: list[Path]) -> Iterator[Path]:
         yield from (folder for folder in (here, *here.parents) if (folder / "pyproject.toml").is_file())
 
 
+def text_of(path: Path) -> str:
+    """Read a text file in UTF-8.
+
+    Raises
+    ------
+    InputError
+        If it is a folder, is no text or cannot be read.
+    """
+    try:
+        return path.read_text(encoding="utf-8-sig")
+    except IsADirectoryError:
+        raise InputError(f"{path} is a folder; a file is needed") from None
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not a text file in UTF-8 (byte {error.start})") from None
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
+
+
 def sha256_of(path: Path) -> str:
     """Hash of a file's bytes; of a folder, the hash over the sorted hashes of its files, whatever their names."""
     if path.is_dir():

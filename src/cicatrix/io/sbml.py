@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -9,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from ..biology.kinetics import CONSTANTS, FUNCTIONS, TIME, Expression, Kinetics, evaluate, names_in
+from ..biology.rules import unknown_species
 from ..core.errors import InputError
 from ..core.units import inner_per_typed
 from ..study.signalling import Model
+from .paths import text_of
 
 MISSING = "needs python-libsbml to read SBML: pip install 'cicatrix[sbml]'"
 CONVERSIONS = ("expandFunctionDefinitions", "promoteLocalParameters")
@@ -65,10 +68,12 @@ def read_sbml(path: Path, time_unit: str = "s") -> Model:
 
 
 def _text(path: Path) -> str:
-    try:
-        return path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read as text: {error}") from None
+    text = text_of(path)
+    if not text.strip():
+        raise InputError(f"{path} is empty")
+    if not re.search(r"<(\w+:)?sbml\b", text):
+        raise InputError(f"{path} is no file of SBML: there is no <sbml> in it")
+    return text
 
 
 def _refuse_faulty(path: Path, document: Any, libsbml: Any) -> None:
@@ -143,6 +148,7 @@ class _Reader:
 
     def model(self, seconds: float) -> Model:
         """Sort what changes from what does not, and put values on all of it."""
+        self._refuse_without_law()
         rates = self._reactions() | self.rate_rules
         if not rates:
             raise InputError(f"{self.path}: nothing changes in this model: it has no reaction and no rate rule")
@@ -152,6 +158,7 @@ class _Reader:
             *self.source.getListOfParameters(),
         ]
         constants = [one.getId() for one in everything if one.getId() not in rates and one.getId() not in self.assigned]
+        self._refuse_unknown({*constants, *rates, *self.assigned})
         order = self._ordered({**self.assigned}, {*constants, *rates, TIME})
         given = self._start({one.getId(): self._given(one) for one in everything}, [*constants, *rates])
         values = np.array([given[name] for name in constants])
@@ -161,6 +168,18 @@ class _Reader:
         computed = [one.getId() for one in self.source.getListOfSpecies() if one.getId() in self.assigned]
         notes = [f'Species "{name}" is computed by a rule and is no column of its own.' for name in computed]
         return Model(law, start, values, high, None, False, tuple(notes))
+
+    def _refuse_without_law(self) -> None:
+        for reaction in self.source.getListOfReactions():
+            if not reaction.isSetKineticLaw():
+                raise InputError(f'{self.path}: reaction "{reaction.getId()}" has no kinetic law')
+
+    def _refuse_unknown(self, known: set[str]) -> None:
+        reactions = {one.getId() for one in self.source.getListOfReactions()}
+        for name, rule in (self.assigned | self.rate_rules).items():
+            for one in sorted(names_in(rule) - known - {TIME}):
+                kind = "reaction" if name in reactions else "the rule of"
+                raise InputError(f'{self.path}: {kind} "{name}" {unknown_species(one, known, "id")}')
 
     def _reactions(self) -> dict[str, Expression]:
         """Rate of every species that reactions change."""

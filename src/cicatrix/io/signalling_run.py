@@ -15,7 +15,8 @@ from ..biology.courses import follow
 from ..biology.sensitivity import INPUT, Sensitivities, of_end, of_steady_state
 from ..biology.steady import SteadyStates, steady_states
 from ..core.errors import ConvergenceError
-from ..core.units import seconds_from_hours
+from ..core.ode import Course
+from ..core.units import hours_from_seconds, seconds_from_hours
 from ..study.signalling import (
     Chunk,
     Model,
@@ -111,18 +112,19 @@ class SignallingRun:
             if np.isfinite(y).all():
                 self.folder.record(self._row(number, float(time_h), y))
         if not done.is_done:
-            raise self._failure(chunk, states, int(done.n_steps))
+            raise self._failure(chunk, done)
         return Mark(mark.chunk + 1, mark.row + chunk.n_rows, states[-1], n_steps)
 
-    def _failure(self, chunk: Chunk, states: np.ndarray, n_steps: int) -> ConvergenceError:
+    def _failure(self, chunk: Chunk, done: Course) -> ConvergenceError:
+        states, last = np.asarray(done.y), np.asarray(done.last)
         good = np.isfinite(states).all(axis=1)
-        last = int(np.flatnonzero(good)[-1])
-        largest = int(np.argmax(np.abs(states[last])))
-        name, value = self.model.law.species[largest], states[last, largest]
+        largest = int(np.argmax(np.abs(last)))
+        taken = f"solver.max_steps = {int(done.n_steps)} were taken" if done.is_spent else "the solver gave up"
         hint = ' or take solver.method = "implicit"' if self.case.solver.method == "explicit" else ""
         return ConvergenceError(
-            f"The network could not be followed beyond {chunk.times_h[last]:.6g} h, where {name} is {value:.4g}: the solver gave "
-            f"up after {n_steps} steps; if no state grows without bound, raise solver.max_steps{hint}.",
+            f"The network could not be followed beyond {hours_from_seconds(float(done.reached)):.6g} h, where "
+            f"{self.model.law.species[largest]} is largest, {last[largest]:.4g}: {taken}; if no state grows without bound, "
+            f"raise solver.max_steps{hint}.",
             [f"{t:.6g} h: largest {np.abs(y).max():g}" for t, y, ok in zip(chunk.times_h, states, good) if ok][-5:],
         )
 

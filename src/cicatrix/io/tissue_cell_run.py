@@ -12,8 +12,9 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..core.errors import ConvergenceError
+from ..core.ode import Course
 from ..core.units import hours_from_seconds
-from ..study.tissue_cell import CHUNK, Model, accuracy_of, felt, follow, model_of, passive_stress
+from ..study.tissue_cell import CHUNK, Model, accuracy_of, felt, follow, is_borne, model_of, passive_stress
 from ..study.tissue_cell_case import NetworkSignalTable, TissueCellCase
 from .figures_tissue_cell import chain_figure
 from .networks import read_network
@@ -86,18 +87,24 @@ class TissueCellRun:
         )
         states = np.asarray(done.y)
         if not done.is_done:
-            raise self._failure(self.model.times[rows], states, int(done.n_steps))
+            raise self._failure(done)
         new = np.unique(rows)[1:]
         self._record(new, states[1 : len(new) + 1])
         return states[-1], int(done.n_steps)
 
-    def _failure(self, times: np.ndarray, states: np.ndarray, n_steps: int) -> ConvergenceError:
-        last = int(np.flatnonzero(np.isfinite(states).all(axis=1))[-1])
-        held = ", ".join(f"{name} {value:.4g}" for name, value in zip(self.model.chain.names[:5], states[last]))
-        stretch = float(self.model.stretch(times[last])) / states[last, 0]
+    def _failure(self, done: Course) -> ConvergenceError:
+        y, reached = np.asarray(done.last), float(done.reached)
+        held = ", ".join(f"{name} {value:.4g}" for name, value in zip(self.model.chain.names[:5], y))
+        elastic = float(self.model.stretch(np.array(reached))) / y[0]
+        if not is_borne(self.model, elastic):
+            why = "cells pull more than the substrate bears there"
+        elif done.is_spent:
+            why = f"solver.max_steps = {int(done.n_steps)} were taken; raise it"
+        else:
+            why = f"the solver gave up after {int(done.n_steps)} steps"
         return ConvergenceError(
-            f"The tissue could not be followed beyond {hours_from_seconds(times[last]):.6g} h, at an elastic stretch of "
-            f"{stretch:.4g}: the solver gave up after {n_steps} steps; cells may pull more than the substrate bears there.",
+            f"The tissue could not be followed beyond {hours_from_seconds(reached):.6g} h, at an elastic stretch of "
+            f"{elastic:.4g}: {why}.",
             [f"last good state: {held}"],
         )
 

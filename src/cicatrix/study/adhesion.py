@@ -23,11 +23,12 @@ from .uniaxial import Tension
 
 ROOM = 1.5  # of a table of stresses beyond what a straight curve would ask for
 MOST_TABLES = 12
+MOST_CHANCE = 0.1  # of a bond to switch in a fixed step, above which it is noted
 TABLE_ERROR = 1e-3  # above it the curve has corners that no table follows
 
 
-def adhesion_of(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
-    """Make the adhesion of a case, and sentences about how.
+def adhesion_of(case: AdhesionCase, stretches: str = "substrate.stretch") -> tuple[Adhesion, list[str]]:
+    """Make the adhesion of a case, and sentences about how; ``stretches`` is the key that they were given by.
 
     Raises
     ------
@@ -38,15 +39,15 @@ def adhesion_of(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
     """
     contraction, notes = contraction_of(case.cell), list[str]()
     if case.substrate.type in LAW_SUBSTRATES:
-        substrate, error = _tissue(case, contraction)
+        substrate, error = _tissue(case, contraction, stretches)
         notes = [
             f"The substrate's law was tabulated in uniaxial tension; error of the table {error:.1g} of its largest stress."
         ]
     else:
         substrate = _simple(case)
     law = Adhesion(bond_of(case.bond), substrate, contraction, case.cell.integrins_per_um2, case.bond.energy)
-    _check(law, case.substrate.stretch)
-    return law, notes
+    _check(law, case, stretches)
+    return law, notes + _of_steps(law, case)
 
 
 def bond_of(table: BondTable) -> Bond:
@@ -89,6 +90,20 @@ def yields(case: AdhesionCase) -> bool:
     return case.substrate.type in ("maxwell", "standard-linear-solid")
 
 
+def _of_steps(law: Adhesion, case: AdhesionCase) -> list[str]:
+    """Say so if fixed steps are long; of clutches, before they bear anything."""
+    dt, rates = case.method.dt_s, [float(law.bond.k_on)]
+    if dt is None:
+        return []
+    for time in (0.0, case.method.duration_s):
+        rates.append(float(np.max(anchored(law, np.array(case.substrate.stretch), time).k_off)))
+    chance = -np.expm1(-dt * np.nanmax(rates))
+    words = (
+        f"A bond switches with a chance of {chance:.2g} in one step of {dt:g} s: a shorter method.dt_s is more exact."
+    )
+    return [words] if chance > MOST_CHANCE else []
+
+
 def _simple(case: AdhesionCase) -> Substrate:
     table = case.substrate
     if table.type == "linear":
@@ -107,7 +122,7 @@ def _material(case: AdhesionCase) -> EnergyMaterial:
     return law_of(SimpleNamespace(law=(case.substrate,), growth=None))
 
 
-def _tissue(case: AdhesionCase, contraction: Contraction) -> tuple[Column, float]:
+def _tissue(case: AdhesionCase, contraction: Contraction, stretches: str) -> tuple[Column, float]:
     """A column of a law, tabulated as far as the cell pulls it."""
     tension, table = Tension(_material(case)), case.substrate
     stretch = np.array(table.stretch)
@@ -117,7 +132,7 @@ def _tissue(case: AdhesionCase, contraction: Contraction) -> tuple[Column, float
         column = Column(curve, table.area_um2, table.length_um)
         pull = _pulled(column, contraction, stretch)
         k = np.asarray(pull.stiffness)
-        _check_stiffness(k, table.stretch)
+        _check_stiffness(k, table.stretch, stretches)
         contraction.check(k)
         needed = float(np.max(stretch + np.asarray(pull.force) / (k * table.length_um)))
         pulled = stretch + np.asarray(pull.displacement) / table.length_um
@@ -138,30 +153,38 @@ def _pulled(column: Column, contraction: Contraction, stretch: Array) -> Pull:
     return column.pulled(contraction, stretch, 0.0)
 
 
-def _check(law: Adhesion, stretch: tuple[float, ...]) -> None:
+def _check(law: Adhesion, case: AdhesionCase, stretches: str) -> None:
     """Refuse what does not hold, before any time is spent."""
-    substrate = law.substrate
+    substrate, stretch = law.substrate, case.substrate.stretch
     if isinstance(substrate, Column):
         k = np.asarray(_pulled(substrate, law.contraction, np.array(stretch)).stiffness)
-        _check_stiffness(k, stretch)
+        _check_stiffness(k, stretch, stretches)
         law.contraction.check(k)
     elif isinstance(substrate, LinearSubstrate):
         law.contraction.check(np.asarray(substrate.k))
     elif isinstance(substrate, StandardLinearSolid):
         law.contraction.check(np.asarray(substrate.K_long + substrate.K_added))
-    at = anchored(law, np.array(stretch))
+    if case.cell.clutch is None:
+        for time in (0.0, case.method.duration_s) if yields(case) else (0.0,):
+            _check_finite(law, stretch, time)
+
+
+def _check_finite(law: Adhesion, stretch: tuple[float, ...], time: float) -> None:
+    at, when = anchored(law, np.array(stretch), time), f" after {time:g} s" if time else ""
     for name, values in at._asdict().items():
         if not np.all(np.isfinite(values)):
             worst = stretch[int(np.argmin(np.isfinite(values)))]
             raise InputError(
-                f"the adhesion has no finite {name} at a stretch of {worst:g}: a force of {float(np.max(at.force)):.4g} pN is "
-                "too much for this substrate"
+                f"the adhesion has no finite {name} at a stretch of {worst:g}{when}: a force of {float(np.max(at.force)):.4g} "
+                "pN is too much for this substrate"
             )
 
 
-def _check_stiffness(k: np.ndarray, stretch: tuple[float, ...]) -> None:
-    if not np.all(k > 0.0):
-        i = int(np.argmin(k > 0.0))
-        raise InputError(
-            f"substrate.stretch {stretch[i]:g}: the tangent stiffness there must be positive; got {k[i]:.4g} pN/um"
-        )
+def _check_stiffness(k: np.ndarray, stretch: tuple[float, ...], stretches: str) -> None:
+    for one, value in zip(stretch, k):
+        if not np.isfinite(value):
+            raise InputError(f"{stretches} {one:g}: the stress of the substrate overflows there")
+        if value <= 0.0:
+            raise InputError(
+                f"{stretches} {one:g}: the tangent stiffness there must be positive; got {value:.4g} pN/um"
+            )

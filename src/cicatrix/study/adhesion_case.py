@@ -11,6 +11,7 @@ from .laws import ANY, LAWS, AnyLaw, LawTable, checked_law, one_of
 from .limits import Integer, NotNegative, Number, Positive, Probability, fault, limits
 
 MOST_BONDS = 10**9  # in one run
+WHOLE = 1e-6  # of a step that fixed steps may miss the end by
 Rate = Annotated[Number, limits(least=1e-12)]
 Count = Annotated[Integer, limits(least=1)]
 
@@ -38,6 +39,9 @@ class BondTable(Table):
         if (self.catch is None) == (self.k_off_per_s is None):
             words = "is missing" if self.catch is None else "and catch exclude each other: catch has rates of its own"
             raise fault("k_off_per_s", words)
+        for key in ("energy", "kT_pN_um"):
+            if self.catch is not None and key in self.model_fields_set:
+                raise fault(key, "and catch exclude each other: such a bond heeds the force alone")
         return self
 
 
@@ -178,8 +182,17 @@ class MethodTable(Table):
         for key in {"n_integrins", "n_cells", "dt_s"} - {*needed, *(("n_cells",) if needed else ())}:
             if getattr(self, key) is not None:
                 raise fault(key, f'must be left out for type = "{self.type}"')
-        if self.dt_s is not None and not 1 <= round(self.duration_s / self.dt_s) < 2**32:
-            raise fault("dt_s", f"must give 1 to 2^32 - 1 steps in duration_s = {self.duration_s:g}; got {self.dt_s:g}")
+        return self
+
+    @model_validator(mode="after")
+    def _steps_are_whole(self) -> MethodTable:
+        steps = self.duration_s / (self.dt_s or self.duration_s)
+        if not (1 <= round(steps) < 2**32 and abs(steps - round(steps)) <= WHOLE):
+            raise fault(
+                "dt_s",
+                f"must give a whole number of steps, 1 to 2^32 - 1, in duration_s = {self.duration_s:g}; got {self.dt_s:g}, "
+                f"{steps:.6g} steps",
+            )
         return self
 
 

@@ -12,12 +12,13 @@ import numpy as np
 from ..biology.adhesion import Adhesion, after, anchored, carried
 from ..biology.clutch import Clutches, Ground, MotorClutch
 from ..biology.sampling import exact, monte_carlo
-from ..core.errors import ConvergenceError
+from ..core.errors import ConvergenceError, InputError
 from .adhesion import clutch_of, ground_under, yields
 from .adhesion_case import AdhesionCase
 
 UPDATES = 2**26  # of bonds between two looks at the keyboard
 FINEST = 2**16  # parts of the time between two rows
+MOST_EVENTS, MOST_EVENTS_EACH = 1e10, 1e7  # of all bonds and of one, at exact times
 TOLERANCE = 1e-9  # of the mean bound fraction on a substrate that yields
 
 
@@ -30,6 +31,8 @@ class Bonds(NamedTuple):
     """Its standard deviation between cells [1]; 0 of the mean field."""
     force: np.ndarray
     """Of one closed bond, in the mean [pN]."""
+    others: dict[str, np.ndarray] = {}  # noqa: RUF012 - never changed
+    """What clutches have beside, by column, each (s,)."""
 
 
 @dataclass(frozen=True)
@@ -122,6 +125,14 @@ class Sampled:
         force = anchored(self.law, np.array(self.case.substrate.stretch), self.times[row]).force
         return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), np.asarray(force))
 
+    def events(self) -> np.ndarray:
+        """Estimate of the events, taken or not, of one bond on each stretch (s,) at exact times [1]."""
+        stretch, k_on = np.array(self.case.substrate.stretch), np.asarray(self.law.bond.k_on, float)
+        start, end = self.times[:-1, None], self.times[1:, None]
+        least, most = _ends(self.law, stretch, start, end) if yields(self.case) else _still(self.law, stretch)
+        bound = k_on / (k_on + least)
+        return np.sum((bound * most + (1.0 - bound) * k_on) * (end - start), axis=0)
+
     def _by_steps(self, bound: np.ndarray, row: int) -> np.ndarray:
         first, last = self._steps[row - 1], self._steps[row]
         portion = max(1, UPDATES // bound.size)
@@ -191,9 +202,11 @@ class Clutched:
         """Mean and standard deviation over the cells of a stretch; the force is shared by the closed ones."""
         now = _unpacked(bound)
         each = now.bound.mean(axis=1).reshape(-1, self.case.n_cells)
-        force = self.clutch.force(self._ground, now).reshape(each.shape).sum(axis=1)
+        force = self.clutch.force(self._ground, now).reshape(each.shape)
         closed = each.sum(axis=1) * now.bound.shape[1]
-        return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), force / np.maximum(closed, 1.0))
+        flow = self.clutch.flow(self._ground, now).reshape(each.shape).mean(axis=1)
+        others = {"cell_force_pN": force.mean(axis=1), "flow_um_per_s": flow}
+        return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), force.sum(axis=1) / np.maximum(closed, 1.0), others)
 
 
 def _packed(now: Clutches) -> np.ndarray:
@@ -220,6 +233,17 @@ def _rates(law: Adhesion, stretch: np.ndarray, time: np.ndarray) -> np.ndarray:
     return np.asarray(anchored(law, *padded).k_off)[:n].reshape(stretch.shape)
 
 
+def _still(law: Adhesion, stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    k_off = np.asarray(anchored(law, stretch).k_off)
+    return k_off, k_off
+
+
+def _ends(law: Adhesion, stretch: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lesser rate of opening at either end of intervals, and its upper bound in them: (n, 1) [s] -> (n, s) [1/s] each."""
+    least = jnp.minimum(anchored(law, stretch, start).k_off, anchored(law, stretch, end).k_off)
+    return np.asarray(least), np.asarray(law.most_k_off(stretch, start, end))
+
+
 Follower = MeanField | Sampled | Clutched  # leads an array from row to row: start, onward, told, times
 
 
@@ -228,4 +252,20 @@ def follower_of(case: AdhesionCase, law: Adhesion) -> Follower:
     clutch = clutch_of(case)
     if clutch is not None:
         return Clutched(case, law, clutch)
-    return MeanField(case, law) if case.method.type == "ode" else Sampled(case, law)
+    if case.method.type == "ode":
+        return MeanField(case, law)
+    sampled = Sampled(case, law)
+    if case.method.type == "ssa":
+        _refuse_too_many(sampled)
+    return sampled
+
+
+def _refuse_too_many(sampled: Sampled) -> None:
+    """Refuse exact times that would take for ever."""
+    each = sampled.events()
+    total = each.sum() * sampled.case.n_cells * (sampled.case.method.n_integrins or 0)
+    if not (each.max() <= MOST_EVENTS_EACH and total <= MOST_EVENTS):
+        raise InputError(
+            f'method.type = "ssa" would take about {each.max():.2g} events of each bond and {total:.2g} of all, beyond '
+            f"{MOST_EVENTS_EACH:g} and {MOST_EVENTS:g}; give less duration_s or force, or more n_rows if the substrate yields"
+        )

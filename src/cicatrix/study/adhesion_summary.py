@@ -10,7 +10,7 @@ import numpy as np
 from jax import Array
 
 from ..biology.adhesion import Adhesion, Anchorage, anchored
-from ..biology.cluster import shared
+from ..biology.cluster import critical_load, shared
 from ..biology.contraction import ConstantForce
 from .adhesion import ground_under, yields
 from .adhesion_case import AdhesionCase
@@ -56,14 +56,12 @@ def mean_course(case: AdhesionCase, law: Adhesion) -> tuple[np.ndarray, np.ndarr
 
 def _clutched(case: AdhesionCase, law: Adhesion, history: Mapping[str, np.ndarray]) -> dict[str, Told]:
     """Means of the second half of the rows: motors and clutches have no closed form."""
-    stretch, given = np.array(case.substrate.stretch), case.cell.clutch
-    assert given is not None
+    stretch = np.array(case.substrate.stretch)
     late = {
         name: values.reshape(-1, len(stretch))[len(values) // len(stretch) // 2 :] for name, values in history.items()
     }
     bound, traction = late["bound_fraction"].mean(axis=0), late["traction_kPa"].mean(axis=0)
-    total = (late["force_pN"] * late["bound_fraction"]).mean(axis=0) * (case.method.n_integrins or 0)
-    flow = given.velocity_um_per_s * (1.0 - total / (given.motors * given.motor_force_pN))
+    total, flow = late["cell_force_pN"].mean(axis=0), late["flow_um_per_s"].mean(axis=0)
     ground, when = ground_under(law, stretch), "mean over cells and the second half of the rows"
     told: dict[str, Told] = {
         "stretch": (stretch.tolist(), "1", "of the substrate before the cell pulls"),
@@ -86,10 +84,25 @@ def _cluster(case: AdhesionCase, law: Adhesion, at: Anchorage) -> dict[str, Told
         sharing = Adhesion(law.bond, law.substrate, ConstantForce(force), law.density, law.energy)
         return anchored(sharing, stretch + jnp.zeros_like(force), case.method.duration_s).k_off
 
-    lifetime = shared(asked.bonds, at.force, k_off, np.broadcast_to(law.bond.k_on, at.force.shape), asked.rebinding)
+    k_on = np.full(len(stretch), float(law.bond.k_on))
+    lifetime = np.asarray(shared(asked.bonds, at.force, k_off, k_on, asked.rebinding))
     words = "closing again" if asked.rebinding else "none of which closes again"
     note = f"mean until all of {asked.bonds} bonds, {words}, are open; per stretch; null where it is beyond numbers"
-    return {"cluster_lifetime_s": (_list(lifetime), "s", note)}
+    told: dict[str, Told] = {
+        "cluster_lifetime_s": (_list(lifetime), "s", note),
+        "shortest_cluster_lifetime_s": (float(lifetime.min()), "s", f"of {asked.bonds} bonds, over the stretches"),
+    }
+    if asked.rebinding:
+        critical = critical_load(asked.bonds, k_off, k_on)
+        note = f"on {asked.bonds} bonds, beyond which their mean number does not hold; per stretch"
+        told["critical_force_pN"] = (_list(critical), "pN", note)
+        least = f"that {asked.bonds} bonds hold in the mean, over the stretches; asked of them: up to "
+        told["least_critical_force_pN"] = (
+            float(critical.min()),
+            "pN",
+            f"{least}{asked.bonds * float(np.max(at.force)):.4g} pN",
+        )
+    return told
 
 
 def _over_stretches(bound: Any, traction: Any) -> dict[str, Told]:

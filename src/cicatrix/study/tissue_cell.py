@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
+from ..biology.adhesion import anchored
 from ..biology.chain import Chain, Felt
 from ..biology.moreo import Moreo
 from ..biology.network import HillNetwork
@@ -24,6 +25,7 @@ from .adhesion_case import AdhesionCase, MethodTable
 from .laws import law_of
 from .tissue_cell_case import NetworkSignalTable, TissueCellCase, TractionTable
 
+NEXT = 1e-3  # of the elastic stretch: as near to its end as a solver comes
 CHUNK = 10  # rows between two of which the solver starts anew, so that a run can be stopped there
 
 
@@ -62,7 +64,7 @@ def model_of(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | Non
         cell=case.cell,
         method=MethodTable(duration_s=1.0),
     )
-    adhesion, notes = adhesion_of(by_itself)
+    adhesion, notes = adhesion_of(by_itself, "loading.stretch")
     chain = Chain(adhesion, _signal(case, network), case.turnover.build(), case.growth_density)
     first, scale = case.start, case.scale
     rho = 1.0 if first.rho_per_mm3 is None else first.rho_per_mm3 / scale.rho_phys_per_mm3
@@ -80,7 +82,11 @@ def _signal(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | None
     if isinstance(table, NetworkSignalTable):
         if network is None:
             raise InputError("signal.species and signal.reactions must be read first")
-        return NetworkSignal(network[0], TractionSignal(table.K_kPa, table.threshold_kPa), table.input, table.output)
+        traction = TractionSignal(table.K_kPa, table.threshold_kPa)
+        try:
+            return NetworkSignal(network[0], traction, table.input, table.output)
+        except InputError as error:
+            raise InputError(f"signal.{error}") from None
     cell = Moreo(table.K_pass_kPa, table.K_act_kPa, table.p_max_kPa, table.theta_1, table.theta_2)
     return StrainSignal(cell, table.K_kPa)
 
@@ -104,6 +110,12 @@ def accuracy_of(case: TissueCellCase) -> Accuracy:
 def felt(model: Model, y: np.ndarray, time: np.ndarray) -> Felt:
     """What cells feel in states (n, n_states) at times (n,) [s]: arrays (n,)."""
     return Felt(*map(np.asarray, _felt(model.chain, y, model.stretch(time))))
+
+
+def is_borne(model: Model, elastic: float) -> bool:
+    """Whether cells pull with a finite force, and bonds open at a finite rate, at an elastic stretch [1] and next to it."""
+    at = anchored(model.chain.adhesion, elastic * np.array([1.0 - NEXT, 1.0, 1.0 + NEXT]))
+    return bool(np.isfinite(at.force).all() and np.isfinite(at.k_off).all())
 
 
 def passive_stress(law: EnergyMaterial, elastic: np.ndarray) -> np.ndarray:

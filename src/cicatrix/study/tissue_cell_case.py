@@ -137,3 +137,9 @@ class TissueCellCase(Table):
         if "stretch" in self.substrate.model_fields_set:
             raise fault("substrate.stretch", "must be left out: it is the elastic stretch of the tissue")
         return self
+
+    @model_validator(mode="after")
+    def _cells_do_not_crawl_by_clutches(self) -> TissueCellCase:
+        if self.cell.clutch is not None:
+            raise fault("cell.clutch", "must be left out: give force_pN or feedback")
+        return self
