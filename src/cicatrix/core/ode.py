@@ -63,7 +63,7 @@ def course(rate: Rate, parameters: Any, start: Array, times: Array, accuracy: Ac
         max_steps=accuracy.max_steps,
         throw=False,
     )
-    (y, (last,)), (_, (reached,)) = solution.ys, solution.ts
+    (y, (last,)), (_, (reached,)) = solution.ys, solution.ts  # pyright: ignore[reportGeneralTypeIssues]
     is_done = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(y))
     is_spent = solution.result == diffrax.RESULTS.max_steps_reached
     return Course(y, solution.stats["num_steps"], is_done, reached, last, is_spent)
