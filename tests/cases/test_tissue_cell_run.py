@@ -113,6 +113,13 @@ def test_the_example_and_other_signals():
     np.testing.assert_allclose(history["signal"], history["activity_YAP"])
 
 
+@pytest.mark.parametrize(("threshold", "n"), [("3.02", 0), ("0.0", 1)])
+def test_cells_that_feel_tissue_at_rest_are_noted(threshold, n):
+    notes = model_of(load_case(EXAMPLE, [f"signal.threshold_kPa={threshold}"]), None).notes
+    assert len(notes) == n
+    assert all(note.startswith("Cells feel tissue that is not stretched: it grows until") for note in notes)
+
+
 FILES = 'species = "signalling/species.csv", reactions = "signalling/reactions.csv"'
 
 

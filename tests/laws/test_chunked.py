@@ -11,6 +11,7 @@ from cicatrix.cli.measurement import printed_on_one_core
 from cicatrix.core.errors import CicatrixError, InputError
 from cicatrix.materials.chunked import chunked
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
+from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.materials.orientation import Single
 from cicatrix.study.laws import LAWS
@@ -76,3 +77,11 @@ def test_a_row_is_there_before_the_next_is_measured(tmp_path):
     assert next(rows) == ("b", 2.0, "ns", "note")
     with pytest.raises(CicatrixError, match=r"ended with .*at fault"):
         next(rows)
+
+
+def test_neo_hookean_by_hand_is_the_derivative_of_its_energy():
+    """Parameters of one number, and of one per point."""
+    for law in (NeoHookean(1.3, 50.0), NeoHookean(np.linspace(1.0, 2.0, 23), np.linspace(0.0, 50.0, 23))):
+        found, twin = law.response(F), EnergyMaterial.response(law, F)
+        np.testing.assert_allclose(found.P, twin.P, rtol=1e-12, atol=1e-12 * np.abs(twin.P).max())
+        np.testing.assert_allclose(found.A, twin.A, rtol=1e-12, atol=1e-12 * np.abs(twin.A).max())

@@ -55,7 +55,7 @@ class March:
                 now = reached
                 self._record(number, now)
                 self._save(number, now)
-                self.progress.update((number + 1) / len(self.asked), f"{hours_from_seconds(now.time):.4g} h")
+                self.progress.update((number + 1) / len(self.asked), f"{hours_from_seconds(now.time):.4g} h simulated")
         except ConvergenceError as error:
             raise ConvergenceError(
                 f"After {hours_from_seconds(now.time):.6g} h the body could not go on: {error}", error.history

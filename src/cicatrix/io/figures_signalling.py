@@ -18,8 +18,10 @@ FEWEST = 0.02  # of the greatest sensitivity: below it a parameter is not shown
 MARKS = ("-", "--", ":", "-.")
 
 
-def courses_figure(history: Mapping[str, np.ndarray], names: Sequence[str], inputs: Sequence[str]) -> Figure:
-    """Every species over time, lines or a map of many; above them the inputs that the case sets."""
+def courses_figure(
+    history: Mapping[str, np.ndarray], names: Sequence[str], inputs: Sequence[str], of_inputs: str = "input [1]"
+) -> Figure:
+    """Every species over time, lines or a map of many; above them the inputs that the case sets, with their label."""
     tall = 0.26 * len(names) + 1.5 if len(names) > MOST_LINES else 5.0
     figure = Figure(figsize=(10, tall + (1.6 if inputs else 0.0)), layout="constrained")
     heights = [1.2, tall] if inputs else None
@@ -28,7 +30,7 @@ def courses_figure(history: Mapping[str, np.ndarray], names: Sequence[str], inpu
     for name, colour in zip(inputs, _colours(len(inputs))):
         axes[0].step(time, history[f"input_{name}"], where="post", color=colour, label=name)
     if inputs:
-        axes[0].set_ylabel("input")
+        axes[0].set_ylabel(of_inputs)
         axes[0].grid(alpha=0.3)
         axes[0].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     states = np.array([history[name] for name in names])

@@ -57,7 +57,7 @@ class PointRun:
                 self.n_coarse += mark.n_coarse
                 if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
                     self._save(mark)
-                self.progress.update(mark.row / last, f"{hours_from_seconds(float(mark.point.time)):.4g} h")
+                self.progress.update(mark.row / last, f"{hours_from_seconds(float(mark.point.time)):.4g} h simulated")
         except (KeyboardInterrupt, ConvergenceError):
             if mark is not None:
                 self._save(mark)

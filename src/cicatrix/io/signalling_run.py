@@ -94,7 +94,9 @@ class SignallingRun:
                 if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
                     self._save(mark)
                 reached = laid[number].times_h[-1]
-                self.progress.update((number + 1) / len(laid), f"{reached:.4g} h")
+                self.progress.update(
+                    (number + 1) / len(laid), f"{reached:.4g} h of {laid[-1].times_h[-1]:.4g} h simulated"
+                )
         except (KeyboardInterrupt, ConvergenceError):
             self._save(mark)
             raise
@@ -188,7 +190,8 @@ class SignallingRun:
     def _tell(self, end: Mark, found: dict[float | None, SteadyStates], derivatives: dict[str, Sensitivities]) -> str:
         names = self.model.law.species
         history = self.folder.history()
-        self.folder.save_figure("courses", courses_figure(history, names, tuple(self.case.set)))
+        of_inputs = "input [1]" if self.model.is_normalised else "input"
+        self.folder.save_figure("courses", courses_figure(history, names, tuple(self.case.set), of_inputs))
         told = {"n_solver_steps": Quantity(end.n_steps, "1", "of the course")}
         told["end"] = Quantity(dict(zip(names, end.y)), "1", f"at {history['time_h'][-1]:g} h")
         told |= _of_states(found, names, dict(zip(self.model.law.input_names, self.last_inputs)))

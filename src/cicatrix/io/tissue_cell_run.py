@@ -73,7 +73,8 @@ class TissueCellRun:
                 row, n_steps = min(row + CHUNK, len(times) - 1), n_steps + taken
                 if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
                     self._save(row, y, n_steps)
-                self.progress.update(row / (len(times) - 1), f"{hours_from_seconds(times[row]):.4g} h")
+                now, end = hours_from_seconds(times[row]), hours_from_seconds(times[-1])
+                self.progress.update(row / (len(times) - 1), f"{now:.4g} h of {end:.4g} h simulated")
         except (KeyboardInterrupt, ConvergenceError):
             self._save(row, y, n_steps)
             raise

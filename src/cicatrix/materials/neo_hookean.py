@@ -6,8 +6,8 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..core.law import param
-from ..core.tensors import det, first_invariant, product
-from .material import EnergyMaterial, State
+from ..core.tensors import IDENTITY, cofactor, det, first_invariant, product
+from .material import EnergyMaterial, Response, State
 
 
 class NeoHookean(EnergyMaterial):
@@ -33,6 +33,22 @@ class NeoHookean(EnergyMaterial):
         J = det(F)
         I1_bar = J ** (-2.0 / 3.0) * first_invariant(F)
         return 0.5 * self.mu * (I1_bar - 3.0) + 0.5 * self.kappa * (J - 1.0) ** 2
+
+    def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
+        """Stress, tangent and no history, by hand, since all else is built on it: ``EnergyMaterial.response`` is the twin."""
+        C, J = cofactor(F), det(F)
+        G, I1 = C / J[..., None, None], first_invariant(F)  # F^-T
+        shear, pressure = self.mu * J ** (-2.0 / 3.0), self.kappa * (J - 1.0)
+        P = shear[..., None, None] * F + (pressure * J - shear * I1 / 3.0)[..., None, None] * G
+        one_way, both_ways = (a[..., :, :, None, None] * b[..., None, None, :, :] for a, b in ((G, G), (G, F)))
+        turned = jnp.swapaxes(one_way, -4, -2)  # G_kJ G_iL
+        parts = (
+            (2.0 / 9.0 * shear * I1 + self.kappa * J * (2.0 * J - 1.0), one_way),
+            (shear * I1 / 3.0 - pressure * J, turned),
+            (-2.0 / 3.0 * shear, both_ways + F[..., :, :, None, None] * G[..., None, None, :, :]),
+            (shear, IDENTITY[:, None, :, None] * IDENTITY[None, :, None, :]),
+        )
+        return Response(P, sum(factor[..., None, None, None, None] * part for factor, part in parts), state)
 
     def energy_of_many(self, F: Array, mass: Array, moment: Array) -> Array:
         """Sum of m Psi(F N) over parts of mass m and natural state N, det N = 1, from their moments.

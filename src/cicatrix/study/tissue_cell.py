@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..biology.adhesion import anchored
+from ..biology.adhesion import Adhesion, anchored
 from ..biology.chain import Chain, Felt
 from ..biology.moreo import Moreo
 from ..biology.network import HillNetwork
@@ -72,7 +72,19 @@ def model_of(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | Non
     start = np.concatenate([own, network[1] if network else []])
     corners = np.column_stack([seconds_from_hours(np.array(case.loading.time_h)), stretches])
     times = np.linspace(corners[0, 0], corners[-1, 0], case.loading.n_rows + 1)
-    return Model(chain, law_of(case), start, times, corners, tuple(notes))
+    return Model(chain, law_of(case), start, times, corners, (*notes, *_at_rest(case, adhesion)))
+
+
+def _at_rest(case: TissueCellCase, adhesion: Adhesion) -> list[str]:
+    """Say so if cells feel tissue that is not stretched."""
+    threshold, pulled = getattr(case.signal, "threshold_kPa", np.inf), float(anchored(adhesion, 1.0).traction)
+    if pulled <= threshold:
+        return []
+    so = ": it grows until it is compressed" if isinstance(case.signal, TractionTable) else ""
+    return [
+        f"Cells feel tissue that is not stretched{so}; they pull with {pulled:.4g} kPa there, above signal.threshold_kPa = "
+        f"{threshold:g}."
+    ]
 
 
 def _signal(case: TissueCellCase, network: tuple[HillNetwork, np.ndarray] | None) -> Signal:

@@ -37,7 +37,7 @@ class TractionTable(Table):
 
     type: Literal["traction"]
     K_kPa: Positive = 1.0
-    threshold_kPa: NotNegative = 0.0
+    threshold_kPa: NotNegative = 0.0  # below the traction at rest, tissue that is not stretched grows into compression
 
 
 class MoreoTable(Table):
