@@ -141,6 +141,7 @@ def test_a_run_on_ranks_is_the_run_of_one(n, linear, tmp_path):
 
 
 @needs_petsc
+@pytest.mark.slow
 def test_held_nodes_that_move_on_two_ranks(tmp_path):
     """The bottom is held 2 mm aside; in one process the same by the environment's choice."""
     case = write_cube(tmp_path)
@@ -184,6 +185,7 @@ def test_faults_of_a_case_are_told_once_by_two_ranks(tmp_path):
 
 
 @needs_petsc
+@pytest.mark.slow
 def test_a_body_too_soft_fails_on_all_ranks_alike(tmp_path):
     case = write_cube(tmp_path)
     mesh = meshio.read(tmp_path / "body.vtu")
