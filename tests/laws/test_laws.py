@@ -26,6 +26,7 @@ from cicatrix.materials.mooney_rivlin import MooneyRivlin
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.materials.ogden import Ogden
 from cicatrix.materials.orientation import Single, VonMises
+from cicatrix.materials.scar import Scar
 from cicatrix.materials.stepped import Stepped
 from cicatrix.materials.viscoelastic import Viscoelastic
 from cicatrix.materials.waviness import Beta, Triangular, Uniform
@@ -137,6 +138,14 @@ CASES = {
     # T ln 2
     "ActiveFibres": Case(
         ActiveFibres(0.4, ALONG), 0.4 * np.log(2.0), PULL, at_rest=False, symmetries=(IN_PLANE, ACROSS)
+    ),
+    # phi k_0 2 + phi k_f / (2 k_2) (exp(k_2 E^2) - 1), E = 0.2 * 5 + 0.4 * 4 - 1
+    "Scar": Case(
+        Scar(np.eye(3), np.diag([0.6, 0.2, 0.2]), 1.0, 2.0, 0.5, 30.0, 0.8, 0.0),
+        1.6 + 1.6 * np.expm1(0.5 * 1.6**2),
+        PULL,
+        symmetries=(IN_PLANE, ACROSS),
+        step=TINY,
     ),
     # 0.25 of the first and 3/2 * 0.25 of the second
     "Sum": Case(Sum((TISSUE, NeoHookean(3.0, 5.0))), 0.625, SIMPLE_SHEAR),
