@@ -186,7 +186,7 @@ def test_loaded_deposition_is_born_free_of_stress(healed):
 
 def test_run_stops_when_closed(two_way):
     cycle, states = two_way
-    closed = replace(states[-1], closure_step=5)
+    closed = replace(states[-1], closure_days=5.0)
     assert closed.is_closed
     assert list(run(cycle, closed, 100)) == []
 

@@ -12,8 +12,8 @@ from cicatrix.core.law import Law, choice, param
 from cicatrix.io.cases import _sentence
 from cicatrix.materials.material import EnergyMaterial, has_bulk_modulus
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.study.case import Table
 from cicatrix.study.laws import LAWS, union_of
+from cicatrix.study.table import Table
 
 
 class Even(Law):

@@ -26,6 +26,7 @@ from cicatrix.materials.mooney_rivlin import MooneyRivlin
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.materials.ogden import Ogden
 from cicatrix.materials.orientation import Single, VonMises
+from cicatrix.materials.patched import Patched
 from cicatrix.materials.scar import Scar
 from cicatrix.materials.stepped import Stepped
 from cicatrix.materials.viscoelastic import Viscoelastic
@@ -145,6 +146,20 @@ CASES = {
         1.6 + 1.6 * np.expm1(0.5 * 1.6**2),
         PULL,
         symmetries=(IN_PLANE, ACROSS),
+        step=TINY,
+    ),
+    # the old tissue under simple shear, and a pull of 30 kPa on fibres of one direction: 0.25 + 30 ln C_11, C_11 = 1
+    "Patched": Case(
+        Patched.of(
+            TISSUE,
+            Scar(np.eye(3), np.diag([0.0, 1.0, 0.0]), 1.0, 2.0, 0.5, 30.0, 0.8, 30.0),
+            np.eye(3),
+            np.array(False),
+        ),
+        0.25 + 30.0 * np.log(1.25),
+        SIMPLE_SHEAR,
+        at_rest=False,
+        symmetries=(ACROSS,),
         step=TINY,
     ),
     # 0.25 of the first and 3/2 * 0.25 of the second

@@ -94,7 +94,7 @@ def is_a_point(body, law, F_of):
 
 
 @pytest.mark.parametrize(
-    "name", ["viscous fibres", *(pytest.param(name, marks=pytest.mark.slow) for name in ("growing", "viscoelastic"))]
+    "name", [pytest.param(name, marks=pytest.mark.slow) for name in ("viscous fibres", "growing", "viscoelastic")]
 )
 def test_a_homogeneous_cube_is_a_material_point(name):
     is_a_point(cube(LAWS[name], lambda points: np.arange(len(points)) < 8), LAWS[name], path)

@@ -76,6 +76,11 @@ def days_from_seconds(time_s: Value) -> Value:
     return days_from_hours(hours_from_seconds(time_s))
 
 
+def seconds_from_days(time_days: Value) -> Value:
+    """Time: [days] -> [s]."""
+    return seconds_from_hours(hours_from_days(time_days))
+
+
 def days_from_weeks(time_weeks: Value) -> Value:
     """Time: [weeks] -> [days]."""
     return time_weeks * DAYS_PER_WEEK

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 import scipy.sparse as sp
@@ -13,6 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..geometry.transfer import SiteMap, linear_fit
 from ..healing.automaton import Automaton, AutomatonState
+from ..healing.fields import Course
 from ..healing.model import Cue
 from ..materials.active import Contraction
 from ..materials.compose import Sum
@@ -59,8 +61,10 @@ class TissueState:
         Of the last solve.
     W_ref : float [kPa]
         Mean energy over the fresh wound edge.
-    closure_step : int
-        Automaton step at which the last open site was filled; -1 while the wound is open.
+    closure_days : float [days]
+        When the last open site was filled; below 0 while the wound is open.
+    course : Course, optional
+        Of healing by fields.
     """
 
     cycle: int
@@ -70,12 +74,13 @@ class TissueState:
     x: np.ndarray
     newton_iterations: int
     W_ref: float = 0.0
-    closure_step: int = -1
+    closure_days: float = -1.0
+    course: Course | None = None
 
     @property
     def is_closed(self) -> bool:
         """No open site is left."""
-        return self.closure_step >= 0
+        return self.closure_days >= 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,6 +129,7 @@ class HealingCycle:
     days_per_cycle: float
     days_per_step: float
     equilibrium: Equilibrium
+    closes: ClassVar[str] = "the automaton step that filled the last site"
 
     def start(self) -> TissueState:
         """The fresh wound: the cavity is open, the body has found its new shape.
@@ -152,25 +158,33 @@ class HealingCycle:
             If no equilibrium is found.
         """
         cue = Cue(self.energy_at_sites(state).reshape(self.automaton.lattice.shape), state.W_ref or 1.0)
-        healing, closure_step = self._heal(state, cue)
+        healing, closure_days = self._heal(state, cue)
         filled = self.filled(healing)
         natural = self.deposition.natural(state.natural, state.filled, filled, self.felt_deformation(state.x))
-        new = TissueState(state.cycle + 1, healing, filled, natural, state.x, 0, state.W_ref, closure_step)
+        new = TissueState(state.cycle + 1, healing, filled, natural, state.x, 0, state.W_ref, closure_days)
         return self._equilibrated(new, state.x)
+
+    def is_over(self, state: TissueState) -> bool:
+        """Whether nothing happens any more."""
+        return state.is_closed
+
+    def measured(self, state: TissueState) -> dict[str, float]:
+        """Numbers that only this kind of healing has, by name."""
+        return {}
 
     def felt_deformation(self, x: np.ndarray) -> np.ndarray:
         """F that tissue feels, its volume ratio linear in each element: x (n_nodes, 3) [mm] -> (n_elements, n_qp, 3, 3)."""
         F = deformation_gradients(self.intact.frame.space, self.X, x)
         return np.cbrt(self.intact.dilation(self.X, x) / np.linalg.det(F))[..., None, None] * F
 
-    def _heal(self, state: TissueState, cue: Cue) -> tuple[AutomatonState, int]:
-        healing, closure_step = state.healing, state.closure_step
+    def _heal(self, state: TissueState, cue: Cue) -> tuple[AutomatonState, float]:
+        healing, closure_days = state.healing, state.closure_days
         last = int(np.floor(self.days(state.cycle + 1) / self.days_per_step + 1e-9))
         while healing.step < last:
             healing = self.automaton.advance(healing, cue)
-            if closure_step < 0 and not self.open_sites(healing).any():
-                closure_step = healing.step
-        return healing, closure_step
+            if closure_days < 0.0 and not self.open_sites(healing).any():
+                closure_days = healing.step * self.days_per_step
+        return healing, closure_days
 
     def _equilibrated(self, state: TissueState, start: np.ndarray) -> TissueState:
         body = self.body(state)
@@ -225,7 +239,7 @@ class HealingCycle:
         """
         body, space = self.body(state), self.intact.frame.space
         coefficients = linear_fit(body.energy_density(self.X, state.x), body.volumes(self.X), space.table.points)
-        held = body.fraction >= WELL_FILLED
+        held = (body.fraction >= WELL_FILLED) & (state.filled >= WELL_FILLED)
         centres = self.X[space.element_nodes[:, : space.n_axes + 1], : space.n_axes].mean(axis=1)
         nearest = np.flatnonzero(held)[cKDTree(centres[held]).query(centres[~held])[1]]
         coefficients[~held] = coefficients[nearest] * np.eye(1, space.n_axes + 1)
@@ -247,7 +261,7 @@ def tissue_law(elastic: NeoHookean, contraction: np.ndarray, natural: np.ndarray
 
 
 def run(cycle: HealingCycle, state: TissueState, last_cycle: int) -> Iterator[TissueState]:
-    """The one time loop: yield the state after each cycle until the wound is closed or the last cycle is done."""
-    while state.cycle < last_cycle and not state.is_closed:
+    """The one time loop: yield the state after each cycle until healing is over or the last cycle is done."""
+    while state.cycle < last_cycle and not cycle.is_over(state):
         state = cycle.step(state)
         yield state

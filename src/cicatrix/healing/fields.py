@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import jax
@@ -14,6 +15,7 @@ from ..core.bdf import Formula, formula, next_step
 from ..core.errors import ConvergenceError
 from ..core.linear import LinearSolver
 from ..core.units import hours_from_seconds
+from ..materials.patched import Patched
 from ..mechanics.body import Body
 from ..mechanics.equilibrium import Equilibrium
 from .scarring import Local, Scarring, advanced, tidied, tissue
@@ -69,6 +71,27 @@ class Course:
         return self.times[0]
 
 
+@dataclass(frozen=True, eq=False)
+class Host:
+    """The tissue about a wound, which neither yields nor makes collagen, and where new tissue is free of stress.
+
+    Parameters
+    ----------
+    is_new : (n_elements,) bool array
+        Elements of the wound.
+    natural : (n_elements, n_qp, 3, 3) array [1]
+        Natural configuration F_n of new tissue; in the old tissue that in which its cells feel nothing.
+    """
+
+    is_new: np.ndarray
+    natural: np.ndarray
+
+    @cached_property
+    def to_natural(self) -> np.ndarray:
+        """F_n^-1 (n_elements, n_qp, 3, 3) [1]."""
+        return np.linalg.inv(self.natural)
+
+
 class Tolerance(NamedTuple):
     """How exactly a wound is followed."""
 
@@ -95,7 +118,8 @@ class Wound:
     Parameters
     ----------
     body : Body
-        Space, supports, skin, density; its law is put in its place.
+        Space, supports, skin, density; its law is put in its place, about the old tissue if there is a host. Of new tissue the
+        share that is collagen weighs.
     X : (n_nodes, 3) array [mm]
         Reference positions.
     gravity : (3,) array [mm/s^2]
@@ -110,6 +134,8 @@ class Wound:
         How exactly.
     is_coupled : bool
         Whether the body moves; if not, strain is that of the first equilibrium for good.
+    host : Host, optional
+        The tissue about the wound; without it the whole body heals.
     """
 
     body: Body
@@ -120,6 +146,7 @@ class Wound:
     transport: Transport
     tolerance: Tolerance = field(default_factory=Tolerance)
     is_coupled: bool = True
+    host: Host | None = None
     factorizations: int = 0
     _mechanics: LinearSolver = field(default_factory=LinearSolver)
     _matrix: object = None
@@ -254,8 +281,20 @@ class Wound:
 
     def _local(self, F: np.ndarray, now: WoundState, start: Local, dt: float) -> tuple[Local, np.ndarray]:
         rho, c = (self.transport.at_points(values) for values in now.fields.T)
-        local, signal = advanced(self.scarring, F, rho, c, start, now.local, dt)
-        return jax.tree.map(np.asarray, local), np.asarray(signal)
+        local, signal = advanced(self.scarring, self._felt(F), rho, c, start, now.local, dt)
+        return self._kept(jax.tree.map(np.asarray, local), start), np.asarray(signal)
+
+    def _felt(self, F: np.ndarray) -> np.ndarray:
+        """What cells and new tissue feel of a deformation (n_elements, n_qp, 3, 3)."""
+        return F if self.host is None else F @ self.host.to_natural
+
+    def _kept(self, local: Local, start: Local) -> Local:
+        """Old tissue as it was; what its cells sense is new."""
+        if self.host is None:
+            return local
+        is_new = self.host.is_new
+        parts = [np.where(is_new.reshape(-1, *[1] * (a.ndim - 1)), a, b) for a, b in zip(local, start)]
+        return Local(*parts)._replace(sensed=local.sensed)
 
     def _flow(self, F: np.ndarray, signal: np.ndarray, local: Local) -> Flow:
         on = self.transport
@@ -278,7 +317,12 @@ class Wound:
 
     def _tissue(self, local: Local, fields: np.ndarray) -> Body:
         rho, c = (self.transport.at_points(values) for values in fields.T)
-        return replace(self.body, law=tissue(self.scarring, local, rho, c))
+        scar = tissue(self.scarring, local, rho, c)
+        if self.host is None:
+            return replace(self.body, law=scar)
+        is_new = self.host.is_new[:, None]
+        law = Patched.of(self.body.law, scar, self.host.natural, np.broadcast_to(is_new, local.phi.shape))
+        return replace(self.body, law=law, density=np.where(is_new, local.phi, 1.0) * self.body.density)
 
     def tissue(self, state: WoundState) -> Body:
         """The body as it is."""
@@ -287,7 +331,7 @@ class Wound:
     def signal(self, state: WoundState) -> np.ndarray:
         """H at quadrature points (n_elements, n_qp) [1]."""
         F = self.body.law_gradient(self.X, state.x)
-        return np.asarray(self.scarring.signal(F, state.local))
+        return np.asarray(self.scarring.signal(self._felt(F), state.local))
 
     def _is_sound(self, state: WoundState) -> bool:
         """Whether nothing is negative that must not be, beyond what iterations leave open."""

@@ -114,9 +114,11 @@ class Scarring(Law):
 
     Collagen follows :class:`..biology.turnover.Turnover`; the active traction is
 
-    .. math:: T = \left( t_\rho + t_{\rho,c} \frac{c}{K_{t,c} + c} \right) \rho \, \frac{\varphi}{K_t^2 + \varphi^2}
+    .. math:: T = \left[ \left( t_\rho + t_{\rho,c} \frac{c}{K_{t,c} + c} \right) \rho \, \frac{\varphi}{K_t^2 + \varphi^2}
+            - T_0 \right]_+
 
-    Source: docs/theory/wound.md, densities over those of healthy tissue.
+    Source: docs/theory/wound.md, densities over those of healthy tissue; T_0, for bodies whose shape before surgery
+    already holds the pull of healthy tissue, is ours.
 
     Parameters
     ----------
@@ -134,6 +136,8 @@ class Scarring(Law):
         Traction of healthy cells, and most that cytokine adds.
     K_t, K_t_c : float or (...) array [1]
         Collagen, and cytokine, of saturation.
+    T_0 : float or (...) array [kPa]
+        Traction that does not count; 0 unless given.
     is_sheet : bool
         Whether the third axis is a sheet's normal.
     """
@@ -150,6 +154,7 @@ class Scarring(Law):
     t_rho_c: float | Array = param("kPa", "t_rho,c", low=0.0)
     K_t: float | Array = param("1", "K_t", above=0.0)
     K_t_c: float | Array = param("1", "K_t,c", above=0.0)
+    T_0: float | Array = param("kPa", "T_0", low=0.0, default=0.0)
     is_sheet: bool = eqx.field(static=True, default=False)
 
     @property
@@ -238,10 +243,13 @@ class Scarring(Law):
 
     def scar(self, has: Local, rho: Array, c: Array) -> Scar:
         """The tissue at an instant."""
-        t = (self.t_rho + self.t_rho_c * c / (self.K_t_c + c)) * rho
-        tension = t * has.phi / (self.K_t**2 + has.phi**2)
+        tension = jnp.maximum(self.traction(rho, c, has.phi) - self.T_0, 0.0)
         stiffness = self.k_0, self.k_f, self.k_2, self.k_v
         return Scar(self.permanent(has), self.structure(has), *stiffness, has.phi, tension, self.is_sheet)
+
+    def traction(self, rho: Array | float, c: Array | float, phi: Array | float) -> Array | float:
+        """Of cells, before T_0 is taken off (...) [kPa]."""
+        return (self.t_rho + self.t_rho_c * c / (self.K_t_c + c)) * rho * phi / (self.K_t**2 + phi**2)
 
     def permanent(self, has: Local) -> Array:
         """F_p (..., 3, 3) [1]."""

@@ -16,12 +16,13 @@ from pydantic import ValidationError
 from ..core.errors import InputError
 from ..study.adhesion_case import AdhesionCase
 from ..study.automaton_case import AutomatonCase
-from ..study.case import LumpectomyCase, Table
+from ..study.case import LumpectomyCase
 from ..study.equilibrium_case import EquilibriumCase
 from ..study.laws import tag_of
 from ..study.limits import FAULT, OUT_OF_RANGE
 from ..study.point_case import PointCase
 from ..study.signalling_case import SignallingCase
+from ..study.table import Table
 from ..study.tissue_cell_case import TissueCellCase
 from ..study.wound_case import WoundCase
 from .paths import input_path

@@ -26,6 +26,7 @@ from ..study.lumpectomy import (
     plan_from_arrays,
     visit_cycles,
 )
+from ..study.lumpectomy_fields import thin_fronts_of
 from ..study.plans import Anatomy, Plan
 from ..study.solid_plan import SolidPlan
 from ..study.summary import closing_sentence, closure_numbers, history_row, outcome_numbers, visit_name
@@ -34,6 +35,7 @@ from .images import read_image, read_labels
 from .lumpectomy_figures import BEFORE, FRESH, HEALED, first_figure, last_figures
 from .progress import Progress
 from .results import Quantity, RunFolder
+from .wound_states import course_arrays, course_from, course_scalars, network_of
 
 
 def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[Anatomy, tuple[str, ...]]:
@@ -140,12 +142,18 @@ class LumpectomyRun:
                 x, report = equilibrium.loaded(planned.intact, X, planned.gravity(position), start)
                 self.shapes[position, BEFORE] = x
                 self._tell(f"before surgery, {position}", report)
-        cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium)
+        cycle = self._cycle(planned, X, equilibrium)
+        for note in thin_fronts_of(self.case, cycle):
+            self.folder.note(note)
         with self.progress.stage("surgery"):
             state = cycle.start()
             self._visit(planned, cycle, state, FRESH)
             self._record(planned, cycle, state)
         return planned, cycle, state
+
+    def _cycle(self, planned: Plan, X: np.ndarray, equilibrium: Equilibrium) -> HealingCycle:
+        network = network_of(self.case.healing.mechanosensing)
+        return healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium, network)
 
     def _equilibrium(self) -> Equilibrium:
         return equilibrium_of(self.case, lambda words: self.progress.update(None, words))
@@ -209,6 +217,8 @@ class LumpectomyRun:
         arrays |= {f"shape.{position}.{moment}": x for (position, moment), x in self.shapes.items()}
         arrays |= {f"factor.{name}": array for name, array in cycle.equilibrium.kept().items()}
         arrays |= {"X": cycle.X, "x": state.x, "natural": state.natural, "filled": state.filled}
+        if state.course is not None:
+            arrays |= {f"course.{name}": array for name, array in course_arrays(state.course).items()}
         arrays |= {"occupancy": state.healing.occupancy, "fronts": np.packbits(np.array(self.fronts), axis=-1)}
         return arrays
 
@@ -218,7 +228,8 @@ class LumpectomyRun:
             "rows": [{k: None if v != v else v for k, v in row.items()} for row in self.rows],
             "W_ref": state.W_ref,
             "newton_iterations": state.newton_iterations,
-            "closure_step": state.closure_step,
+            "closure_days": state.closure_days,
+            "course": None if state.course is None else course_scalars(state.course),
             "healing": [
                 healing.step,
                 healing.n_edge_divisions,
@@ -235,7 +246,7 @@ class LumpectomyRun:
         X = arrays["X"]
         equilibrium = self._equilibrium()
         equilibrium.restore(planned.intact.frame, _part(arrays, "factor."))
-        cycle = healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium)
+        cycle = self._cycle(planned, X, equilibrium)
         width = cycle.automaton.lattice.shape[-1]
         self.fronts = list(np.unpackbits(arrays["fronts"], axis=-1, count=width).astype(bool))
         self.rows = [{k: np.nan if v is None else v for k, v in row.items()} for row in scalars["rows"]]
@@ -248,7 +259,8 @@ class LumpectomyRun:
             arrays["x"],
             scalars["newton_iterations"],
             scalars["W_ref"],
-            scalars["closure_step"],
+            scalars["closure_days"],
+            scalars["course"] and course_from(_part(arrays, "course."), scalars["course"]),
         )
         return planned, cycle, state
 

@@ -6,18 +6,16 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
-import jax
 import numpy as np
 
 from ..core.units import days_from_hours, hours_from_seconds, seconds_from_hours
-from ..healing.fields import Course, WoundState
-from ..healing.scarring import Local
+from ..healing.fields import Course
 from ..study.wound import WoundModel, model_of, numbers_of
-from ..study.wound_case import NetworkTable, WoundCase
+from ..study.wound_case import WoundCase
 from .figures_wound import course_figure, fields_figure
-from .networks import read_network
 from .progress import Progress
 from .results import Quantity, RunFolder
+from .wound_states import course_arrays, course_from, course_scalars, network_of
 
 STEPS_PER_CHECKPOINT = (
     10  # matrices are made anew there, so that a run that goes on has the bits of one that was not stopped
@@ -45,7 +43,7 @@ class WoundRun:
     @cached_property
     def model(self) -> WoundModel:
         """The wound."""
-        return model_of(self.case, network_of(self.case))
+        return model_of(self.case, network_of(self.case.mechanosensing))
 
     def _heal(self) -> Course:
         solver, end = self.model.solver, seconds_from_hours(self.case.hours)
@@ -121,32 +119,11 @@ class WoundRun:
     def _save(self, course: Course) -> None:
         """Keep what the next steps depend on; matrices are let go, as they are when a run goes on from here."""
         self.model.solver.forget()
-        arrays = {
-            f"{k}.{j}": leaf for k, state in enumerate(course.past) for j, leaf in enumerate(jax.tree.leaves(state))
-        }
-        scalars = {
-            "step": course.step,
-            "taken": course.taken,
-            "rejected": course.rejected,
-            "iterations": course.iterations,
-            "last": course.last,
-            **{f"time.{k}": t for k, t in enumerate(course.times)},
-        }
-        self.folder.save_checkpoint(course.taken, arrays, scalars)
+        self.folder.save_checkpoint(course.taken, course_arrays(course), course_scalars(course))
 
     def _kept(self) -> Course | None:
         kept = self.folder.checkpoint
-        if kept is None:
-            return None
-        n = sum(name.startswith("time.") for name in kept.scalars)
-        leaves = 2 + len(Local._fields)
-        past = []
-        for k in range(n):
-            x, fields, *local = (kept.arrays[f"{k}.{j}"] for j in range(leaves))
-            past.append(WoundState(x, fields, Local(*local)))
-        s = kept.scalars
-        times = tuple(s[f"time.{k}"] for k in range(n))
-        return Course(tuple(past), times, s["step"], s["taken"], s["rejected"], s["iterations"], s["last"])
+        return None if kept is None else course_from(kept.arrays, kept.scalars)
 
     def _tell(self, course: Course) -> str:
         history = self.folder.history()
@@ -187,12 +164,3 @@ class WoundRun:
 def _triangles(squares: np.ndarray) -> np.ndarray:
     """Quadrilaterals as pairs of triangles (2 n, 3), for ParaView."""
     return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])
-
-
-def network_of(case: WoundCase):
-    """Read the network that cells sense by and its start, if there is one."""
-    table = case.mechanosensing
-    if not isinstance(table, NetworkTable):
-        return None
-    model = read_network(table.species, table.reactions, table.inhibition)
-    return model.law, model.start

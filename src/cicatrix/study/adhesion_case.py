@@ -6,9 +6,9 @@ from typing import Annotated, Any, Literal, get_args
 
 from pydantic import create_model, model_validator
 
-from .case import Table
 from .laws import ANY, LAWS, AnyLaw, LawTable, checked_law, one_of
 from .limits import Integer, NotNegative, Number, Positive, Probability, fault, limits
+from .table import Table
 
 MOST_BONDS = 10**9  # in one run
 WHOLE = 1e-6  # of a step that fixed steps may miss the end by

@@ -9,8 +9,8 @@ from typing import Annotated, Literal
 from pydantic import BeforeValidator, model_validator
 from pydantic_core import PydanticCustomError
 
-from .case import Table
 from .limits import OUT_OF_RANGE, Integer, NotNegative, Number, Positive, Probability, fault, limits
+from .table import Table
 
 DIMENSIONS = {"hex": 2, "fcc": 3}
 NEIGHBOURS = {"hex": 6, "fcc": 12}

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, model_validator
+from pydantic import model_validator
 
 from ..core.errors import InputError
 from ..core.units import days_from_hours, mm_from_um
@@ -41,15 +41,16 @@ from .limits import (
     limits,
 )
 from .sites import box_around, too_many
+from .table import Table
+from .wound_case import AnySensing, LogisticTable, ParametersTable, TimeTolerance
 
 Position = Literal["prone", "supine", "upright"]
+BY_FIELDS = ("mechanosensing", "parameters", "time_tolerance")  # keys of healing that one model has
+BY_AUTOMATON = (
+    *("contraction_kPa", "hours_per_step", "p_edge", "p_layer", "layer_um", "contact_inhibition"),
+    *("motility_substeps", "redistribution", "feedback"),
+)
 SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # what a mesh of three dimensions has by default
-
-
-class Table(BaseModel):
-    """A table of a case file: frozen, and no key but its own."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class ChestWall(Table):
@@ -170,9 +171,9 @@ class Resection(Table):
 
 
 class Healing(Table):
-    """The healing automaton and the tissue that it lays down."""
+    """How the cavity heals, by the automaton or by fields, and the tissue that is laid down."""
 
-    model: Literal["automaton"] = "automaton"
+    model: Literal["automaton", "fields"] = "automaton"
     deposition: Literal["unloaded", "loaded"] = "unloaded"
     deposition_prestretch: Positive = 1.0
     contraction_kPa: NotNegative = 0.0
@@ -185,6 +186,19 @@ class Healing(Table):
     motility_substeps: Annotated[Integer, limits(least=0, most=64)] = MOTILITY_SUBSTEPS
     redistribution: Literal["route", "level-set"] = "route"
     feedback: NotNegative = 1.0
+    mechanosensing: AnySensing = LogisticTable(type="logistic")  # pyright: ignore[reportInvalidTypeForm]
+    parameters: ParametersTable = ParametersTable()
+    time_tolerance: TimeTolerance = 1e-3
+
+    @model_validator(mode="after")
+    def _knows_its_keys(self) -> Healing:
+        """Refuse what the other model would read."""
+        other = BY_AUTOMATON if self.model == "fields" else BY_FIELDS
+        for key in other:
+            if key in self.model_fields_set:
+                which = "automaton" if self.model == "fields" else "fields"
+                raise fault(key, f'belongs to healing.model = "{which}"; leave it out')
+        return self
 
     @model_validator(mode="after")
     def _layer_holds_a_site(self) -> Healing:

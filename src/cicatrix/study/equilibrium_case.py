@@ -9,9 +9,9 @@ import jax
 from pydantic import model_validator
 
 from ..materials.material import has_bulk_modulus
-from .case import Table
 from .laws import AnyGrowth, AnyLaw, checked_law
 from .limits import Integer, Number, Times, Vector, fault, limits
+from .table import Table
 
 
 class BodyTable(Table):

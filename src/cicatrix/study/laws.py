@@ -31,8 +31,8 @@ from ..materials.mooney_rivlin import MooneyRivlin
 from ..materials.neo_hookean import NeoHookean
 from ..materials.ogden import Ogden
 from ..materials.viscoelastic import Viscoelastic
-from .case import Table
 from .limits import Integer, Number, fault, limits
+from .table import Table
 
 ANY = "_any_law"  # what stands for any law of a union inside one of its tables; no name of this module
 LAWS: dict[str, type[EnergyMaterial]] = {

@@ -8,6 +8,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.units import days_from_weeks, mm_from_um
+from ..coupling.by_fields import FieldsCycle
 from ..coupling.cycle import HealingCycle
 from ..coupling.deposition import Deposition
 from ..geometry.hexgrid import Lattice
@@ -15,6 +16,8 @@ from ..geometry.transfer import OUTSIDE, SiteMap, locate_lattice, locate_sites
 from ..healing.automaton import Automaton
 from ..mechanics.equilibrium import Equilibrium
 from .case import LumpectomyCase
+from .fields import Network
+from .lumpectomy_fields import fields_of
 from .plans import Anatomy, Plan
 from .section_plan import plan_section, section_from_arrays
 from .sites import box_around, too_many
@@ -84,29 +87,39 @@ def _places(lattice: Lattice) -> np.ndarray:
 
 
 def healing_cycle(
-    case: LumpectomyCase, planned: Plan, X: np.ndarray, x_intact: np.ndarray, equilibrium: Equilibrium
+    case: LumpectomyCase,
+    planned: Plan,
+    X: np.ndarray,
+    x_intact: np.ndarray,
+    equilibrium: Equilibrium,
+    network: Network | None = None,
 ) -> HealingCycle:
     """Join mechanics and healing.
 
-    X, x_intact (n_nodes, 3) [mm]: unloaded shape, and loaded shape in the healing position, of the intact body.
+    X, x_intact (n_nodes, 3) [mm]: unloaded shape, and loaded shape in the healing position, of the intact body. A network comes
+    with healing by fields whose cells sense by it.
     """
     automaton, sites = lattice_on(case, planned, X)
-    return HealingCycle(
-        intact=planned.intact,
-        X=X,
-        x_intact=x_intact,
-        gravity=planned.gravity(case.coupling.healing_position),
-        tissue=planned.tissue,
-        scar=planned.scar,
-        cavity=planned.cavity,
-        contraction=case.healing.contraction_kPa,
-        automaton=automaton,
-        sites=sites,
-        deposition=Deposition(case.healing.deposition == "loaded", case.healing.deposition_prestretch),
-        days_per_cycle=case.coupling.days_per_cycle,
-        days_per_step=case.days_per_step,
-        equilibrium=equilibrium,
-    )
+    common = {
+        "intact": planned.intact,
+        "X": X,
+        "x_intact": x_intact,
+        "gravity": planned.gravity(case.coupling.healing_position),
+        "tissue": planned.tissue,
+        "scar": planned.scar,
+        "cavity": planned.cavity,
+        "contraction": case.healing.contraction_kPa,
+        "automaton": automaton,
+        "sites": sites,
+        "deposition": Deposition(case.healing.deposition == "loaded", case.healing.deposition_prestretch),
+        "days_per_cycle": case.coupling.days_per_cycle,
+        "days_per_step": case.days_per_step,
+        "equilibrium": equilibrium,
+    }
+    if case.healing.model == "automaton":
+        return HealingCycle(**common)
+    last_visit = max(visit_cycles(case).values(), default=0)
+    return FieldsCycle(**common, **fields_of(case, planned, network), last_visit=last_visit, tell=equilibrium.tell)
 
 
 def last_cycle(case: LumpectomyCase) -> int:

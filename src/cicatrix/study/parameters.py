@@ -9,9 +9,9 @@ from typing import Any
 
 from ..core.errors import InputError
 from ..core.units import inner_per_typed
-from .case import Table
 from .laws import LawTable, key_of
 from .point_case import PointCase
+from .table import Table
 
 
 def parameters_of(case: PointCase) -> dict[str, float | None]:

@@ -8,9 +8,9 @@ from pydantic import BeforeValidator, model_validator
 from pydantic_core import PydanticCustomError
 
 from ..materials.material import has_bulk_modulus
-from .case import Table
 from .laws import AnyGrowth, AnyLaw, checked_law
 from .limits import OUT_OF_RANGE, Integer, Number, Times, fault, limits
+from .table import Table
 
 Quantity = Literal["stretch", "stress"]
 QUANTITIES = ("stretch", "stress")

@@ -9,8 +9,8 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from .case import Table
 from .limits import OUT_OF_RANGE, Integer, NotNegative, Number, Positive, fault, limits
+from .table import Table
 
 MOST_ROWS = 1_000_000
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any
 
-from .case import LumpectomyCase, Table
+from .case import LumpectomyCase
+from .table import Table
 
 NEARLY_INCOMPRESSIBLE = "nearly incompressible soft tissue, 0.49 to 0.499; Garbey et al., Eq. (2)"
 CHOSEN = "chosen; no published value"
@@ -39,6 +40,9 @@ SOURCES: dict[str, str] = {
     "healing.motility_substeps": "4 to 8 keep the wound near-circular; " + CHOSEN,
     "healing.redistribution": "pushing along paths keeps division local; the global level set is the paper's variant",
     "healing.feedback": "p_layer (1 + W / W_ref), Garbey et al., section 3; W_ref the mean over the fresh wound edge",
+    "healing.mechanosensing": "the elastic change of volume; docs/theory/wound.md. Of healing by fields",
+    "healing.parameters": "the set of papers/breast-cavity on the patient's fat and scar; docs/decisions/0023. Of healing by fields",
+    "healing.time_tolerance": "a tenth of a percent of healthy densities in a step; " + CHOSEN,
     "coupling.days_per_cycle": "one mechanical solve a week; " + CHOSEN,
     "outcome.visits_weeks": "clinical visits at weeks 2, 6, 10 and 26",
 }
@@ -53,10 +57,10 @@ def value_at(case: Table, key: str) -> Any:
 
 
 def keys(table: Table, prefix: str = "") -> Iterator[str]:
-    """Dotted keys of every value in a table and the tables below it, in the order of the case file."""
+    """Dotted keys of every value in a table and the tables below it, or of a table with one source, in the case file's order."""
     for name in type(table).model_fields:
         value = getattr(table, name)
-        if isinstance(value, Table):
+        if isinstance(value, Table) and prefix + name not in SOURCES:
             yield from keys(value, f"{prefix}{name}.")
         else:
             yield prefix + name

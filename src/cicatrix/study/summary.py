@@ -53,6 +53,7 @@ def history_row(cycle: HealingCycle, state: TissueState) -> dict[str, float | in
         "wound_drift_mm": float(np.linalg.norm(closure.centroid_shift(lattice, is_open, open0))),
         "clamped_cells": state.healing.n_clamped,
         tissue_size: float(np.sum(cycle.intact.volumes(cycle.X) * state.filled[:, None])),
+        **cycle.measured(state),
     }
 
 
@@ -64,7 +65,7 @@ def _vertices(body: Body) -> np.ndarray:
 def closure_numbers(cycle: HealingCycle, state: TissueState, rows: list[dict]) -> dict[str, Number]:
     """Time to closure, and how the front lost its symmetry."""
     if state.is_closed:
-        days = Number(state.closure_step * cycle.days_per_step, "days", "the automaton step that filled the last site")
+        days = Number(state.closure_days, "days", cycle.closes)
     else:
         days = Number(None, "days", f"still {100 * (1 - rows[-1]['closed_fraction']):.1f} % open at the last cycle")
     half = next((r for r in rows if r["closed_fraction"] >= 0.5), rows[-1])
@@ -100,7 +101,7 @@ def visit_name(weeks: float) -> str:
 def closing_sentence(cycle: HealingCycle, state: TissueState) -> str:
     """How the healing ended, in a sentence."""
     if state.is_closed:
-        days = state.closure_step * cycle.days_per_step
+        days = state.closure_days
         return f"The wound closed after {days:.1f} days ({weeks_from_days(days):.1f} weeks, {state.cycle} cycles)."
     return f"The wound is still open after {cycle.days(state.cycle):.0f} days, the last that the case allows."
 

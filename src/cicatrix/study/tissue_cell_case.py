@@ -10,9 +10,9 @@ from pydantic import Field, model_validator
 
 from ..biology.turnover import Turnover
 from .adhesion_case import AnySubstrate, BondTable, CellTable
-from .case import Table
 from .laws import AnyLaw, checked_law, one_of, table_of
 from .limits import Integer, NotNegative, Number, Positive, Probability, Times, fault, limits
+from .table import Table
 
 YIELDING = ("maxwell", "standard-linear-solid")
 Stretch = Annotated[Number, limits(least=0.1, most=10.0)]

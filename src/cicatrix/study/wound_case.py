@@ -7,13 +7,14 @@ from typing import Annotated, Literal
 from pydantic import model_validator
 
 from .adhesion_case import BondTable, CellTable, FibreTable, LinearTable
-from .case import Table
 from .laws import one_of
 from .limits import Integer, NotNegative, Number, Positive, fault, limits
+from .table import Table
 from .tissue_cell_case import MoreoTable, NetworkSignalTable
 from .wound_values import BREAST_CAVITY, CIRCULAR_WOUND
 
 VALUES = {"circular-wound": CIRCULAR_WOUND, "breast-cavity": BREAST_CAVITY}
+TimeTolerance = Annotated[Number, limits(least=1e-8, most=1e-1)]
 Share = Annotated[Number, limits(above=0.0, most=1.0)]
 
 
@@ -107,6 +108,7 @@ class ParametersTable(Table):
     t_rho_c_MPa: NotNegative | None = None
     K_t: Positive | None = None
     K_t_c: Positive | None = None
+    T_0_MPa: NotNegative | None = None  # traction that does not count; of a lumpectomy that of healthy tissue, else 0
     kappa: Annotated[Number, limits(least=0.0, most=0.5)] | None = (
         None  # dispersion of fibres: 1/2, 1/3 in all directions
     )
@@ -125,7 +127,7 @@ class ParametersTable(Table):
 class WoundSolverTable(Table):
     """How exactly a wound is followed."""
 
-    time_tolerance: Annotated[Number, limits(least=1e-8, most=1e-1)] = 1e-4
+    time_tolerance: TimeTolerance = 1e-4
     iteration_tolerance: Annotated[Number, limits(least=1e-12, most=1e-2)] | None = (
         None  # left out: a tenth of it, 1e-5 at most
     )
