@@ -41,7 +41,7 @@ SOURCES: dict[str, str] = {
     "healing.redistribution": "pushing along paths keeps division local; the global level set is the paper's variant",
     "healing.feedback": "p_layer (1 + W / W_ref), Garbey et al., section 3; W_ref the mean over the fresh wound edge",
     "healing.mechanosensing": "the elastic change of volume; docs/theory/wound.md. Of healing by fields",
-    "healing.parameters": "the set of papers/breast-cavity on the patient's fat and scar; docs/decisions/0023. Of healing by fields",
+    "healing.parameters": "the set of papers/breast-cavity on this fat and scar; docs/decisions/0023. Of healing by fields",
     "healing.time_tolerance": "a tenth of a percent of healthy densities in a step; " + CHOSEN,
     "coupling.days_per_cycle": "one mechanical solve a week; " + CHOSEN,
     "outcome.visits_weeks": "clinical visits at weeks 2, 6, 10 and 26",
