@@ -15,7 +15,7 @@ PAPERS = Path(__file__).parents[2] / "papers"
 FIGURES = ["garbey-2013-fig2", "garbey-2013-fig5", "garbey-2013-fig6"]
 COARSE = ["image.voxel_mm=3.0", "healing.pitch_um=100", "mesh.edge_mm=6.0", "mesh.cavity_edge_mm=2.0"]
 POINTS = ["guo-2022-fig2", "guo-2022-fig3", "guo-2022-fig4", "guo-2022-fig5"]
-WOUNDS = ["circular-wound", "breast-cavity"]
+WOUNDS = ["circular-wound", "breast-cavity", "automaton-and-fields"]
 FEWER = ["law.1.orientation.n_angles=12", "law.1.viscous.n_waviness=32", "loading.repeat=2"]
 
 

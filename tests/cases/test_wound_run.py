@@ -6,11 +6,14 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+import skfem
 
 import cicatrix
 from cicatrix.core.errors import ConvergenceError, InputError
+from cicatrix.geometry.tetrahedra import oriented
 from cicatrix.io import wound_run
 from cicatrix.io.cases import check_case
+from cicatrix.io.fields import write_vtu
 
 pytestmark = pytest.mark.xdist_group("wound")  # compiled once
 EXAMPLE = Path(__file__).parents[2] / "examples" / "wound.toml"
@@ -102,6 +105,57 @@ def test_without_contraction_the_ring_stays():
     history = cicatrix.simulate(cicatrix.load_case(EXAMPLE, settings)).history
     np.testing.assert_allclose(history["ring_area_ratio"], 1.0, atol=1e-10)
     np.testing.assert_allclose(history["lamP_area_edge"], 1.0, atol=1e-10)
+
+
+MESHED = """
+kind = "wound"
+duration_h = 2.0
+body = { mesh = "body.vtu", mesh_unit = "cm" }
+[solver]
+time_tolerance = 1e-2
+"""
+
+
+def meshed(tmp_path, **data):
+    """A cube of 4 cm held at its floor, tetrahedra within 1 cm of its middle marked; returns the case and their volume [mm^3]."""
+    mesh = skfem.MeshTet.init_tensor(*[np.linspace(0.0, 4.0, 5)] * 3)
+    points, cells = mesh.p.T.copy(), oriented(mesh.p.T, mesh.t.T)
+    corners = points[cells]
+    wound = (np.abs(corners.mean(axis=1) - 2.0) < 1.0).all(axis=1)
+    volumes = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1])) / 6.0
+    data = {"cell": {"wound": wound.astype(int)}, "point": {"fixed": (points[:, 2] == 0.0).astype(int)}} | data
+    write_vtu(tmp_path / "body.vtu", points, cells, data["point"], data["cell"])
+    (tmp_path / "case.toml").write_text(MESHED)
+    return tmp_path / "case.toml", 1e3 * volumes[wound].sum()
+
+
+def test_a_mesh_of_ones_own(tmp_path):
+    """Its wound's volume and cells are those of the marked tetrahedra; no flux: without divisions all cells stay."""
+    path, volume = meshed(tmp_path)
+    still = [f"parameters.{name}_per_h=0.0" for name in ("p_rho", "p_rho_c", "p_rho_H", "d_rho")]
+    still += ["parameters.t_rho_MPa=0.0", "parameters.t_rho_c_MPa=0.0"]
+    history = cicatrix.simulate(cicatrix.load_case(path, still), tmp_path / "run").history
+    assert history["wound_size"][0] == pytest.approx(volume, rel=1e-12)
+    np.testing.assert_allclose(history["cells_total"], history["cells_total"][0], rtol=1e-12)
+    assert (np.diff(history["rho_centre"]) > 0).all()  # they come from about
+
+
+@pytest.mark.parametrize(
+    ("data", "settings", "sentence"),
+    [
+        ({"cell": {}}, [], "body.vtu: cell data `wound` are missing"),
+        ({"cell": {"wound": np.ones(384)}}, [], "body.vtu: cell data `wound` must be 1 in some tetrahedra"),
+        ({"cell": {"wound": np.full(384, 0.5)}}, [], "body.vtu: cell data wound must be 0 or 1; got 0.5 at cell 0"),
+        ({"point": {}}, [], "body.vtu: point data `fixed` (1 where a node is held, else 0) are missing"),
+        ({}, ['benchmark="circular-wound"'], "benchmark must be"),
+        ({}, ["elements=8"], "elements belongs to the benchmarks"),
+    ],
+)
+def test_a_mesh_that_is_no_wound_is_told(data, settings, sentence, tmp_path):
+    path, _ = meshed(tmp_path, **data)
+    with pytest.raises(InputError) as error:
+        cicatrix.simulate(cicatrix.load_case(path, settings))
+    assert sentence in str(error.value)
 
 
 def written(tmp_path, text, *parameters):

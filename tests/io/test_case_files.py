@@ -100,6 +100,26 @@ FAULTS = {
     "nan": ("[healing]\npitch_um = nan", "healing.pitch_um must be above 0; got nan"),
     "probability": ("[healing]\np_edge = 1.5", "healing.p_edge must be at least 0 and at most 1; got 1.5"),
     "thin layer": ("[healing]\nlayer_um = 5.0", "healing.layer_um must be at least pitch_um (10); got 5"),
+    "a rate of the automaton": (
+        '[healing]\nmodel = "fields"\np_edge = 0.1',
+        'healing.p_edge belongs to healing.model = "automaton"; leave it out',
+    ),
+    "a rate of fields": (
+        "[healing]\ntime_tolerance = 1e-3",
+        'healing.time_tolerance belongs to healing.model = "fields"; leave it out',
+    ),
+    "a negative diffusivity": (
+        '[healing]\nmodel = "fields"\nparameters = { D_rho_mm2_per_h = -1.0 }',
+        "healing.parameters.D_rho_mm2_per_h must be at least 0; got -1.0",
+    ),
+    "fibres too dispersed": (
+        '[healing]\nmodel = "fields"\nparameters = { kappa = 0.4 }',
+        "healing.parameters.kappa must be at most 0.333333 in 3 dimensions",
+    ),
+    "an unknown sense": (
+        '[healing]\nmodel = "fields"\nmechanosensing = { type = "smell" }',
+        'healing.mechanosensing.type must be "none", "logistic", "moreo", "adhesion" or "network"; got "smell"',
+    ),
     "visits": ("[outcome]\nvisits_weeks = [6, 2]", "outcome.visits_weeks must ascend; got [6, 2]"),
     "position": (
         '[outcome]\npositions = ["flat"]',

@@ -47,15 +47,18 @@ KINDS: dict[str, type[Case]] = {
     "tissue-cell": TissueCellCase,
     "wound": WoundCase,
 }
-FILES = {  # table and key of everything that names a file
-    "lumpectomy": (("image", "path"), ("image", "labels")),
-    "automaton": (("lattice", "fillable"), ("wound", "mask"), ("cue", "W")),
-    "equilibrium": (("body", "mesh"),),
+FILES = {  # everything that names a file
+    "lumpectomy": (
+        *("image.path", "image.labels"),
+        *("healing.mechanosensing.species", "healing.mechanosensing.reactions"),
+    ),
+    "automaton": ("lattice.fillable", "wound.mask", "cue.W"),
+    "equilibrium": ("body.mesh",),
     "material-point": (),
     "adhesion": (),
-    "tissue-cell": (("signal", "species"), ("signal", "reactions")),
-    "wound": (("mechanosensing", "species"), ("mechanosensing", "reactions")),
-    "signalling": (("network", "species"), ("network", "reactions"), ("network", "sbml")),
+    "tissue-cell": ("signal.species", "signal.reactions"),
+    "wound": ("body.mesh", "mechanosensing.species", "mechanosensing.reactions"),
+    "signalling": ("network.species", "network.reactions", "network.sbml"),
 }
 CHECKS = {"signalling": (".networks", "faults_of")}  # of what a case's files hold, as far as that is soon done
 
@@ -144,16 +147,29 @@ def case_table(case: Case) -> dict[str, Any]:
     Folder names can identify a patient, and they say nothing about content: the manifest's hashes do.
     """
     table = case.model_dump(mode="python")
-    for name, key in FILES[case.kind]:
-        if isinstance(table[name].get(key), Path):
-            table[name][key] = table[name][key].name
+    for within, key in _files_in(table, FILES[case.kind]).values():
+        if isinstance(within[key], Path):
+            within[key] = within[key].name
     return json.loads(json.dumps(table))
 
 
 def input_files(case: Case) -> dict[str, Path]:
     """Return the files and folders that a case reads, by key."""
-    found = {f"{name}.{key}": getattr(getattr(case, name), key, None) for name, key in FILES[case.kind]}
-    return {key: path for key, path in found.items() if isinstance(path, Path)}
+    found = _files_in(case.model_dump(mode="python"), FILES[case.kind])
+    return {name: within[key] for name, (within, key) in found.items() if isinstance(within[key], Path)}
+
+
+def _files_in(tables: dict[str, Any], names: Sequence[str]) -> dict[str, tuple[dict[str, Any], str]]:
+    """Table and key of the values that name files, as far as they are there, by their dotted names."""
+    out = {}
+    for name in names:
+        *path, key = name.split(".")
+        within: Any = tables
+        for part in path:
+            within = within.get(part) if isinstance(within, dict) else None
+        if isinstance(within, dict) and key in within:
+            out[name] = within, key
+    return out
 
 
 def _examine(path: Path, overrides: Sequence[str]) -> tuple[Case | None, list[str]]:
@@ -194,17 +210,16 @@ def _kind_of(raw: Mapping[str, Any]) -> str:
     return kind
 
 
-def _locate(raw: dict[str, Any], files: Sequence[tuple[str, str]], folder: Path) -> tuple[dict[str, Any], list[str]]:
+def _locate(raw: dict[str, Any], files: Sequence[str], folder: Path) -> tuple[dict[str, Any], list[str]]:
     """Resolve the paths of a case; a file that is not there is a fault."""
     faults = []
-    for name, key in files:
-        table = raw.get(name)
-        if isinstance(table, dict) and isinstance(table.get(key), str):
+    for name, (table, key) in _files_in(raw, files).items():
+        if isinstance(table[key], str):
             try:
                 table[key] = input_path(table[key], folder)
             except InputError as error:
                 table[key] = Path(table[key])  # one fault is enough
-                faults.append(f"{name}.{key} {error}")
+                faults.append(f"{name} {error}")
     return raw, faults
 
 

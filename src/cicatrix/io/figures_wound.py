@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.collections import PolyCollection
@@ -11,7 +12,7 @@ from matplotlib.figure import Figure
 from ..core.units import days_from_hours
 from ..geometry.cuts import plane_cut
 from ..healing.fields import WoundState
-from ..study.wound import WoundModel
+from ..healing.transport import Transport
 
 COLOURS = {"centre": "#d55e00", "edge": "#0072b2"}
 PANELS = {
@@ -49,49 +50,67 @@ def course_figure(history: Mapping[str, np.ndarray], ratio: str) -> Figure:
     return figure
 
 
-def fields_figure(model: WoundModel, state: WoundState, hours: float) -> Figure:
-    """Cells, cytokine, collagen and permanent stretch on the deformed body: a sheet, or the middle plane of a solid."""
-    transport = model.solver.transport
+class View(NamedTuple):
+    """How fields are shown: a body of two dimensions as it is, of a solid the plane where one axis is constant."""
+
+    labels: tuple[str, str]
+    axis: int = 2
+    at_mm: float = 0.0
+    window: np.ndarray | None = None
+    """Lower and upper corner (2, 2) [mm]; all there is without."""
+    is_downward: bool = False
+    """Whether the vertical axis points down."""
+
+
+SHEET = View(("x [mm]", "y [mm]"), window=np.array([[-VIEW_MM, -VIEW_MM], [VIEW_MM, VIEW_MM]]))
+BREAST = View(("x [mm]", "z, from the chest wall [mm]"), axis=1)
+
+
+def fields_figure(transport: Transport, state: WoundState, x: np.ndarray, days: float, view: View) -> Figure:
+    """Cells, cytokine, collagen and permanent stretch on the body at positions x (n_nodes, 3) [mm]."""
     values = {
         "cells": state.fields[:, 0],
         "cytokine": state.fields[:, 1],
         "collagen": transport.at_carriers(state.local.phi),
         "permanent stretch": transport.at_carriers(np.prod(state.local.stretch, axis=-1)),
     }
-    x = state.x[transport.carriers]
-    is_sheet = transport.space.n_axes == 2
     figure = Figure(figsize=(15, 4.0), layout="constrained")
-    figure.suptitle(f"after {days_from_hours(hours):.4g} days, on the deformed body", fontsize=11)
+    figure.suptitle(f"after {days:.4g} days, on the deformed body", fontsize=11)
     for ax, (name, field) in zip(figure.subplots(1, 4), values.items()):
-        polygons, shown = _squares(x, transport.cells, field) if is_sheet else _cut(x, transport.cells, field)
+        polygons, shown = _polygons(x[transport.carriers], transport, field, view)
         drawn = PolyCollection(list(polygons), array=shown, cmap=MAPS[name], edgecolors="face", linewidths=0.2)
         drawn.set_rasterized(True)
         ax.add_collection(drawn)
         figure.colorbar(drawn, ax=ax, shrink=0.8)
         ax.set_title(f"{name} [1]", fontsize=10)
         ax.set_aspect("equal")
-        ax.set_xlabel("x [mm]")
+        ax.set_xlabel(view.labels[0])
         ax.autoscale_view()
-        if is_sheet:
-            ax.set_xlim(-VIEW_MM, VIEW_MM)
-            ax.set_ylim(-VIEW_MM, VIEW_MM)
-    figure.axes[0].set_ylabel("y [mm]" if is_sheet else "z, from the chest wall [mm]")
+        if view.window is not None:
+            ax.set_xlim(*view.window[:, 0])
+            ax.set_ylim(*view.window[:, 1])
+        if view.is_downward:
+            ax.invert_yaxis()
+    figure.axes[0].set_ylabel(view.labels[1])
     return figure
 
 
-def _squares(x: np.ndarray, cells: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Quadrilaterals (n, 4, 2), each cut into four, and the field's value in each part (n,)."""
-    corners, values = x[cells][..., :2], field[cells]
+def _polygons(x: np.ndarray, transport: Transport, field: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
+    """Polygons (n, a, 2) [mm] and the field's mean in each of these (n,)."""
+    cells = transport.cells
+    if transport.space.n_axes == 2:
+        return _parts(x[cells][..., :2], field[cells])
+    polygons, owner = plane_cut(x, cells, view.axis, view.at_mm)
+    kept = [k for k in range(3) if k != view.axis]
+    return polygons[..., kept], field[cells[owner]].mean(axis=1)
+
+
+def _parts(corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Elements of the plane (n, a, 2), each cut into one part for each corner, and the field's value in each part."""
     pieces, shown = [], []
-    for k in range(4):
+    for k in range(corners.shape[1]):
         ring = [np.roll(part, -k, axis=1) for part in (corners, values)]
         for part, out in zip(ring, (pieces, shown)):
-            mid = 0.5 * (part[:, 0] + part[:, 1]), part.mean(axis=1), 0.5 * (part[:, 0] + part[:, 3])
+            mid = 0.5 * (part[:, 0] + part[:, 1]), part.mean(axis=1), 0.5 * (part[:, 0] + part[:, -1])
             out.append(np.stack([part[:, 0], *mid], axis=1))
     return np.concatenate(pieces), np.concatenate(shown).mean(axis=1)
-
-
-def _cut(x: np.ndarray, tetrahedra: np.ndarray, field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Polygons (n, 4, 2) in which the plane y = 0 cuts tetrahedra, and the field's mean in each of these (n,)."""
-    polygons, owner = plane_cut(x, tetrahedra, 1, 0.0)
-    return polygons[..., [0, 2]], field[tetrahedra[owner]].mean(axis=1)

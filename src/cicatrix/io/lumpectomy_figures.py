@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
+from ..coupling.by_fields import FieldsCycle
 from ..coupling.cycle import HealingCycle, TissueState
 from ..mechanics.body import Body
 from ..study.case import LumpectomyCase
@@ -15,6 +16,7 @@ from ..study.section_plan import SectionPlan
 from ..study.solid_plan import SolidPlan
 from ..study.summary import edge_profile, visit_name
 from . import figures, figures_solid
+from .figures_wound import View, fields_figure
 
 BEFORE, FRESH, HEALED = "before", "fresh", "healed"
 Shapes = Mapping[tuple[str, str], np.ndarray]  # (position, moment) -> x (n_nodes, 3) [mm]
@@ -47,6 +49,10 @@ def last_figures(
         "fresh cavity": figures.energy_panel(fresh, cycle.X, x_fresh),
         closing_word(state): figures.energy_panel(cycle.body(state), cycle.X, state.x),
     }
+    if isinstance(cycle, FieldsCycle):
+        assert state.course is not None
+        view = _view(planned, state.x)
+        yield "fields", fields_figure(cycle.transport, state.course.now, state.x, cycle.days(state.cycle), view)
     if isinstance(planned, SolidPlan):
         positions = case.outcome.positions
         yield "closure", figures_solid.closure_figure(planned, cycle, fronts, rows, mode)
@@ -59,6 +65,14 @@ def last_figures(
     yield "outline", _outlines(case, planned, shapes)
     yield "energy", figures.energy_figure(planned, panels)
     yield "edge-energy", _edges(planned, cycle, fresh, {home: (before, x_fresh)})
+
+
+def _view(planned: Plan, x: np.ndarray) -> View:
+    """The section, or of a solid the axial plane through its cavity."""
+    if isinstance(planned, SectionPlan):
+        return View(planned.section.axis_labels, is_downward=planned.section.plane == "axial")
+    centre = x[np.unique(planned.intact.frame.space.corners[planned.cavity])].mean(axis=0)
+    return View(("left [mm]", "posterior [mm]"), 2, float(centre[2]), is_downward=True)
 
 
 def _outlines(case: LumpectomyCase, planned: SectionPlan, shapes: Shapes) -> Figure:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
 import meshio
 import numpy as np
@@ -16,6 +17,7 @@ from ..geometry.tetrahedra import boundary, check, unmirrored
 from .fields import write_vtu
 
 CELLS = {"tetra": 4, "tetra10": 10}
+T = TypeVar("T")
 SURFACES = ("vertex", "line", "line3", "triangle", "triangle6")  # what mesh generators write beside the tetrahedra
 
 
@@ -68,12 +70,30 @@ def read_body(path: Path, unit: str, elastic: tuple[float, float] | None = None)
     InputError
         If the file is no such mesh, or no body can have it; the sentence begins with the file's name.
     """
+    return _read(path, lambda mesh: _body(mesh, unit, elastic))
+
+
+def read_wound(path: Path, unit: str) -> tuple[Solid, np.ndarray]:
+    """Read a mesh of tetrahedra with a wound in it, as ``read_body`` does; returns it and the wound's tetrahedra (m,) bool.
+
+    The file has cell data ``wound`` and point data ``fixed``, both 0 or 1.
+
+    Raises
+    ------
+    InputError
+        If the file is no such mesh, or no body can have it; the sentence begins with the file's name.
+    """
+    return _read(path, lambda mesh: _wound(mesh, unit))
+
+
+def _read(path: Path, of: Callable[[meshio.Mesh], T]) -> T:
+    """What a file's mesh makes; sentences on it begin with the file's name."""
     try:
         mesh = meshio.read(path)
     except (meshio.ReadError, OSError, ValueError, KeyError, SystemExit) as error:
         raise InputError(f"{path.name} cannot be read as a mesh: {str(error) or type(error).__name__}") from None
     try:
-        return _body(mesh, unit, elastic)
+        return of(mesh)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from None
 
@@ -85,7 +105,20 @@ def write_body(path: Path, mesh: BodyMesh, E: np.ndarray, nu: np.ndarray, densit
     write_vtu(path, mesh.nodes, mesh.tetrahedra, {"fixed": is_fixed}, tissue)
 
 
-def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None) -> MeshedBody:
+class Solid(NamedTuple):
+    """Tetrahedra of a file, and where they are held."""
+
+    points: np.ndarray
+    """Nodes, in the file's order (n, 3) [mm]."""
+    tetrahedra: np.ndarray
+    """Corners, then middles of edges (m, 4) or (m, 10)."""
+    is_fixed: np.ndarray
+    """(n,) bool."""
+    kind: str
+    """meshio's name of the cells."""
+
+
+def _solid(mesh: meshio.Mesh, unit: str) -> Solid:
     kinds = {block.type for block in mesh.cells}
     wrong = sorted(kinds - CELLS.keys() - set(SURFACES))
     if wrong or len(kinds & CELLS.keys()) != 1:
@@ -98,9 +131,22 @@ def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None) -> 
     tetrahedra = unmirrored(points, np.vstack([block.data for block in mesh.cells if block.type == kind]).astype(int))
     if "fixed" not in mesh.point_data:
         raise InputError("point data `fixed` (1 where a node is held, else 0) are missing")
-    is_fixed, is_sliding, is_pressurised = (
-        _marked(mesh.point_data, name, len(points)) for name in ("fixed", "sliding", "pressurised")
-    )
+    return Solid(points, tetrahedra, _marked(mesh.point_data, "fixed", len(points)), kind)
+
+
+def _wound(mesh: meshio.Mesh, unit: str) -> tuple[Solid, np.ndarray]:
+    solid = _solid(mesh, unit)
+    check(solid.points, solid.tetrahedra, solid.is_fixed, np.zeros_like(solid.is_fixed))
+    marked = _cell_data(mesh, "wound", solid.kind)
+    _refuse(~np.isin(marked, (0, 1)), "wound must be 0 or 1", marked)
+    if marked.all() or not marked.any():
+        raise InputError("cell data `wound` must be 1 in some tetrahedra, those of the wound, and 0 in others")
+    return solid, marked == 1
+
+
+def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None) -> MeshedBody:
+    points, tetrahedra, is_fixed, kind = _solid(mesh, unit)
+    is_sliding, is_pressurised = (_marked(mesh.point_data, name, len(points)) for name in ("sliding", "pressurised"))
     check(points, tetrahedra, is_fixed, is_sliding)
     _check_faces("sliding", is_sliding, tetrahedra)
     _check_faces("pressurised", is_pressurised, tetrahedra)

@@ -11,8 +11,10 @@ import numpy as np
 from ..core.units import days_from_hours, hours_from_seconds, seconds_from_hours
 from ..healing.fields import Course
 from ..study.wound import WoundModel, model_of, numbers_of
+from ..study.wound_body import WoundBody, meshed_wound
 from ..study.wound_case import WoundCase
-from .figures_wound import course_figure, fields_figure
+from .figures_wound import BREAST, SHEET, course_figure, fields_figure
+from .meshes import read_wound
 from .progress import Progress
 from .results import Quantity, RunFolder
 from .wound_states import course_arrays, course_from, course_scalars, network_of
@@ -43,7 +45,7 @@ class WoundRun:
     @cached_property
     def model(self) -> WoundModel:
         """The wound."""
-        return model_of(self.case, network_of(self.case.mechanosensing))
+        return model_of(self.case, network_of(self.case.mechanosensing), body_of(self.case))
 
     def _heal(self) -> Course:
         solver, end = self.model.solver, seconds_from_hours(self.case.hours)
@@ -150,7 +152,11 @@ class WoundRun:
                 outcome[key] = Quantity(float(history[key][-1]), "1", "at the end")
         self.folder.write_outcome(outcome)
         self.folder.save_figure("course", course_figure(history, name))
-        self.folder.save_figure("fields", fields_figure(self.model, course.now, self.case.hours))
+        view = SHEET if self.case.is_sheet else BREAST._replace(at_mm=self.model.body.middle_mm)
+        shown = fields_figure(
+            self.model.solver.transport, course.now, course.now.x, days_from_hours(self.case.hours), view
+        )
+        self.folder.save_figure("fields", shown)
         days = days_from_hours(self.case.hours)
         now, lowest = 100.0 * ratio[-1], 100.0 * ratio[least]
         return f"In {days:.4g} days the {what} came to {now:.3g} % of its first ({lowest:.3g} % at least)."
@@ -159,6 +165,14 @@ class WoundRun:
         solver = self.model.solver
         supports = solver.body.frame.supports(solver.transport.space.n_axes == 2)
         return supports.n_unknowns + 2 * len(solver.transport.free)
+
+
+def body_of(case: WoundCase) -> WoundBody | None:
+    """Read the body that the case names, if it does."""
+    if case.body is None:
+        return None
+    solid, is_wound = read_wound(case.body.mesh, case.body.mesh_unit)
+    return meshed_wound(solid.points, solid.tetrahedra, solid.is_fixed, is_wound)
 
 
 def _triangles(squares: np.ndarray) -> np.ndarray:

@@ -42,7 +42,7 @@ from .limits import (
 )
 from .sites import box_around, too_many
 from .table import Table
-from .wound_case import AnySensing, LogisticTable, ParametersTable, TimeTolerance
+from .wound_case import AnySensing, LogisticTable, ParametersTable, TimeTolerance, check_fields
 
 Position = Literal["prone", "supine", "upright"]
 BY_FIELDS = ("mechanosensing", "parameters", "time_tolerance")  # keys of healing that one model has
@@ -198,6 +198,7 @@ class Healing(Table):
             if key in self.model_fields_set:
                 which = "automaton" if self.model == "fields" else "fields"
                 raise fault(key, f'belongs to healing.model = "{which}"; leave it out')
+        check_fields(self.parameters.model_dump(), self.mechanosensing, is_sheet=False)
         return self
 
     @model_validator(mode="after")

@@ -44,15 +44,12 @@ def solid_body(
     pressure : float [kPa]
         From outside, along the normal that a face has once it is deformed.
     """
-    if tetrahedra.shape[1] == 4:
-        points, tetrahedra = with_middles(points, tetrahedra)
-        is_fixed = _with_fixed_middles(is_fixed, tetrahedra, len(points))
-    space = SolidSpace(points, tetrahedra)
+    space, fixed_nodes = solid_space(points, tetrahedra, is_fixed)
     pressed = _faces(space, is_pressurised)
     shape = (space.n_elements, space.table.weight.size)
     mu, kappa = (np.broadcast_to(m[:, None], shape) for m in moduli_from_young(E, nu))
     return Body(
-        frame=Frame(space, pressed, np.flatnonzero(is_fixed), *walls(space, _faces(space, is_sliding))),
+        frame=Frame(space, pressed, fixed_nodes, *walls(space, _faces(space, is_sliding))),
         law=NeoHookean(mu, kappa),
         density=np.broadcast_to(density[:, None], shape),
         fraction=np.ones(space.n_elements),
@@ -60,6 +57,14 @@ def solid_body(
         skin_thickness=np.zeros(len(pressed)),
         pressure=np.full(len(pressed), pressure) if pressure and len(pressed) else None,
     )
+
+
+def solid_space(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray) -> tuple[SolidSpace, np.ndarray]:
+    """Quadratic elements of a mesh, and the nodes that are held; arguments as :func:`solid_body` has them."""
+    if tetrahedra.shape[1] == 4:
+        points, tetrahedra = with_middles(points, tetrahedra)
+        is_fixed = _with_fixed_middles(is_fixed, tetrahedra, len(points))
+    return SolidSpace(points, tetrahedra), np.flatnonzero(is_fixed)
 
 
 def moved(body: Body, displacement: np.ndarray) -> np.ndarray:

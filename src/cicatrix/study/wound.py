@@ -29,15 +29,16 @@ class WoundModel(NamedTuple):
         return self.solver.start(self.fields, self.local, first_step)
 
 
-def model_of(case: WoundCase, network: Network | None = None) -> WoundModel:
-    """Put the parts together; a network comes with its start (n_species,).
+def model_of(case: WoundCase, network: Network | None = None, body: WoundBody | None = None) -> WoundModel:
+    """Put the parts together, on a benchmark's body unless one is given; a network comes with its start (n_species,).
 
     Raises
     ------
     InputError
         If the adhesion does not hold at rest, or the network has no such input or output.
     """
-    body = sheet_with_wound(case.elements or 40) if case.is_sheet else breast_with_cavity(case.elements or 16)
+    if body is None:
+        body = sheet_with_wound(case.elements or 40) if case.is_sheet else breast_with_cavity(case.elements or 16)
     scarring, sensed = scarring_of(case, network)
     space, X = body.frame.space, body.X
     transport = Transport(space, X, body.held)
@@ -55,10 +56,9 @@ def model_of(case: WoundCase, network: Network | None = None) -> WoundModel:
 def _at_first(case: WoundCase, body: WoundBody, transport: Transport, sensed: np.ndarray) -> tuple[np.ndarray, Local]:
     """Cells and cytokine at carriers, and local states, of the fresh wound: healthy tissue blended into it."""
     v, space = case.values, body.frame.space
-    healthy = body.healthy(body.X[transport.carriers])
+    healthy, whole = body.healthy
     fields = np.stack([v["rho_wound"] + (1.0 - v["rho_wound"]) * healthy, v["c_wound"] * (1.0 - healthy)], axis=-1)
-    points = np.einsum("qa,eai->eqi", space.corner_table.value, body.X[space.corners])
-    phi = v["phi_wound"] + (1.0 - v["phi_wound"]) * body.healthy(points.reshape(-1, 3)).reshape(points.shape[:2])
+    phi = v["phi_wound"] + (1.0 - v["phi_wound"]) * whole
     return fields, local_of(phi, v["kappa"], sensed, space.n_axes)
 
 

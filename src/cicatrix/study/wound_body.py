@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import skfem
@@ -15,6 +16,7 @@ from ..geometry.tetrahedra import boundary, used_only, with_middles
 from ..materials.neo_hookean import NeoHookean
 from ..mechanics.body import Body, Frame, measures
 from ..mechanics.space import AnySpace, Sheet, SolidSpace
+from .equilibrium import solid_space
 
 SIDE_MM, WOUND_MM, BLEND_MM = (
     100.0,
@@ -48,6 +50,22 @@ class Place:
         return float(self.values(corners).mean())
 
 
+class Healthy(NamedTuple):
+    """Share of healthy tissue, 0 in the wound."""
+
+    corners: np.ndarray
+    """At the corners of elements, ascending by node (n,) [1]."""
+    points: np.ndarray
+    """At quadrature points (n_elements, n_qp) [1]."""
+
+    @classmethod
+    def of(cls, space: AnySpace, at: Callable[[np.ndarray], np.ndarray]) -> Healthy:
+        """From a function of positions (n, 3) [mm] -> (n,)."""
+        X, table = space.positions, space.corner_table
+        points = np.einsum("qa,eai->eqi", table.value, X[space.corners])
+        return cls(at(X[np.unique(space.corners)]), at(points.reshape(-1, 3)).reshape(points.shape[:2]))
+
+
 @dataclass(frozen=True, eq=False)
 class WoundBody:
     """A body with a wound in it."""
@@ -57,12 +75,17 @@ class WoundBody:
     """(n_nodes, 3) [mm]."""
     held: np.ndarray
     """Carriers of cells and cytokine, by their places among the corners, where both keep their values."""
-    healthy: Callable[[np.ndarray], np.ndarray]
-    """Share of healthy tissue at points (n, 3) [mm] -> (n,)."""
+    healthy: Healthy
+    """How much of the tissue is healthy."""
     centre: Place
     edge: Place
     size: Callable[[np.ndarray], float]
     """Area or volume of the material that was wound at first, at positions (n_nodes, 3) [mm]."""
+
+    @property
+    def middle_mm(self) -> float:
+        """Where the plane y = constant through the wound's centre lies."""
+        return float(self.X[self.frame.space.corners[self.centre.elements[0]], 1].mean())
 
     def empty_body(self) -> Body:
         """Any tissue on it, without skin; healing brings its own."""
@@ -98,7 +121,7 @@ def sheet_with_wound(n: int) -> WoundBody:
         Frame(space, np.zeros(0, int), border),
         X,
         border,
-        lambda x: smoother_step((np.linalg.norm(x[:, :2], axis=1) - WOUND_MM) / BLEND_MM),
+        Healthy.of(space, lambda x: smoother_step((np.linalg.norm(x[:, :2], axis=1) - WOUND_MM) / BLEND_MM)),
         _place(line, np.zeros((1, 2)), space),
         ring,
         area,
@@ -129,22 +152,37 @@ def breast_with_cavity(n: int) -> WoundBody:
     """
     nodes, tetrahedra, is_cavity = _half_ball(2.0 * BREAST_MM / n)
     space = SolidSpace(*with_middles(nodes, tetrahedra))
-    X = space.positions
-    held = np.unique(space.boundary[np.isclose(X[space.boundary][..., 2], 0.0, atol=1e-9).all(axis=1)])
-    inside = np.flatnonzero(is_cavity)
-    border = _faces_between(tetrahedra, is_cavity)
+    held = np.unique(space.boundary[np.isclose(space.positions[space.boundary][..., 2], 0.0, atol=1e-9).all(axis=1)])
+    healthy = Healthy.of(space, lambda x: smoother_step(ellipsoid(x) / BLEND_SOLID_MM))
+    return _solid_with_wound(space, held, is_cavity, healthy, CAVITY_CENTRE_MM)
 
-    def volume(x: np.ndarray) -> float:
-        return float(measures(space, x)[inside].sum())
 
+def meshed_wound(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_wound: np.ndarray) -> WoundBody:
+    """A body of a mesh, held where nodes are; wound up to the faces of its tetrahedra, where cells and cytokine are halfway.
+
+    points (n, 3) [mm], tetrahedra (m, 4) or (m, 10), is_fixed (n,) bool, is_wound (m,) bool.
+    """
+    space, fixed_nodes = solid_space(points, tetrahedra, is_fixed)
+    corners = np.unique(space.corners)
+    touched, beyond = np.isin(corners, space.corners[is_wound]), np.isin(corners, space.corners[~is_wound])
+    at_points = np.broadcast_to(np.where(is_wound, 0.0, 1.0)[:, None], (len(is_wound), space.table.weight.size))
+    healthy = Healthy(np.where(touched, np.where(beyond, 0.5, 0.0), 1.0), at_points)
+    centre = space.positions[space.corners[is_wound]].mean(axis=(0, 1))
+    return _solid_with_wound(space, fixed_nodes, is_wound, healthy, centre)
+
+
+def _solid_with_wound(
+    space: SolidSpace, held: np.ndarray, is_wound: np.ndarray, healthy: Healthy, centre: np.ndarray
+) -> WoundBody:
+    inside, border = np.flatnonzero(is_wound), _faces_between(space.corners, is_wound)
     return WoundBody(
-        Frame(space, np.zeros(0, int), held),
-        X,
-        np.zeros(0, int),
-        lambda x: smoother_step(ellipsoid(x) / BLEND_SOLID_MM),
-        _nearest(space, CAVITY_CENTRE_MM),
-        Place(border, np.full((len(border), 4), 0.25)),
-        volume,
+        frame=Frame(space, np.zeros(0, int), held),
+        X=space.positions,
+        held=np.zeros(0, int),
+        healthy=healthy,
+        centre=_nearest(space, centre),
+        edge=Place(border, np.full((len(border), 4), 0.25)),
+        size=lambda x: float(measures(space, x)[inside].sum()),
     )
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from pathlib import Path
 from typing import Annotated, Literal
 
 from pydantic import model_validator
@@ -134,11 +136,19 @@ class WoundSolverTable(Table):
     first_step_h: Positive = 0.01
 
 
+class WoundBodyTable(Table):
+    """A mesh of tetrahedra, with point data ``fixed`` and cell data ``wound``, both 0 or 1."""
+
+    mesh: Path
+    mesh_unit: Literal["mm", "cm", "m"] = "mm"
+
+
 class WoundCase(Table):
     """A wound that heals by fields: cells, cytokine and collagen on a body that they pull at."""
 
     kind: Literal["wound"] = "wound"
-    benchmark: Literal["circular-wound", "breast-cavity"]
+    benchmark: Literal["circular-wound", "breast-cavity"] | None = None
+    body: WoundBodyTable | None = None  # instead of a benchmark's; values are those of the breast's cavity
     elements: Annotated[Integer, limits(least=4, most=400)] | None = (
         None  # per side of the sheet; along the breast's diameter
     )
@@ -162,7 +172,7 @@ class WoundCase(Table):
     @property
     def values(self) -> dict[str, float]:
         """Parameters, those of the benchmark where nothing is said; without those that switch on what it does not have."""
-        return VALUES[self.benchmark] | self.parameters.model_dump(exclude_none=True)
+        return VALUES[self.benchmark or "breast-cavity"] | self.parameters.model_dump(exclude_none=True)
 
     @property
     def hours(self) -> float:
@@ -175,21 +185,28 @@ class WoundCase(Table):
         return self.fields_every_h or self.hours / 14.0
 
     @model_validator(mode="after")
-    def _spreads_as_the_body_allows(self) -> WoundCase:
-        most = 0.5 if self.is_sheet else 1.0 / 3.0
-        if self.values["kappa"] > most + 1e-12:
-            raise fault("parameters.kappa", f"must be at most {most:.6g} in {2 if self.is_sheet else 3} dimensions")
+    def _has_one_body(self) -> WoundCase:
+        if (self.benchmark is None) == (self.body is None):
+            raise fault(
+                "benchmark", 'must be "circular-wound" or "breast-cavity", or left out where body.mesh names a mesh'
+            )
+        if self.body is not None and self.elements is not None:
+            raise fault("elements", "belongs to the benchmarks; body.mesh has its own")
         return self
 
     @model_validator(mode="after")
-    def _bears_change_of_volume(self) -> WoundCase:
-        if not self.is_sheet and not self.values["kv_MPa"]:
-            raise fault("parameters.kv_MPa", "must be above 0 in three dimensions")
+    def _is_possible(self) -> WoundCase:
+        check_fields(self.values, self.mechanosensing, self.is_sheet)
         return self
 
-    @model_validator(mode="after")
-    def _cells_do_not_crawl_by_clutches(self) -> WoundCase:
-        cell = getattr(self.mechanosensing, "cell", None)
-        if cell is not None and cell.clutch is not None:
-            raise fault("mechanosensing.cell.clutch", "must be left out: give force_pN or feedback")
-        return self
+
+def check_fields(values: Mapping[str, float | None], sensing: object, is_sheet: bool) -> None:
+    """Refuse what the model cannot be, with the sentence of a case file; values that are not there are not looked at."""
+    most, kappa = 0.5 if is_sheet else 1.0 / 3.0, values.get("kappa")
+    if kappa is not None and kappa > most + 1e-12:
+        raise fault("parameters.kappa", f"must be at most {most:.6g} in {2 if is_sheet else 3} dimensions")
+    if not is_sheet and values.get("kv_MPa") == 0.0:
+        raise fault("parameters.kv_MPa", "must be above 0 in three dimensions")
+    cell = getattr(sensing, "cell", None)
+    if cell is not None and cell.clutch is not None:
+        raise fault("mechanosensing.cell.clutch", "must be left out: give force_pN or feedback")
