@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from matplotlib.collections import PolyCollection
+from matplotlib.colors import CenteredNorm
 from matplotlib.figure import Figure
 
 from ..core.units import days_from_hours
@@ -78,7 +79,10 @@ def fields_figure(transport: Transport, state: WoundState, x: np.ndarray, days: 
     figure.suptitle(f"after {days:.4g} days, on the deformed body", fontsize=11)
     for ax, (name, field) in zip(figure.subplots(1, 4), values.items()):
         polygons, shown = _polygons(x[transport.carriers], transport, field, view)
-        drawn = PolyCollection(list(polygons), array=shown, cmap=MAPS[name], edgecolors="face", linewidths=0.2)
+        norm = CenteredNorm(1.0) if name == "permanent stretch" else None  # white is none
+        drawn = PolyCollection(
+            list(polygons), array=shown, cmap=MAPS[name], norm=norm, edgecolors="face", linewidths=0.2
+        )
         drawn.set_rasterized(True)
         ax.add_collection(drawn)
         figure.colorbar(drawn, ax=ax, shrink=0.8)
