@@ -41,7 +41,7 @@ def test_help_shows_the_verbs_in_order(tmp_path):
     done = cicatrix("--help", cwd=tmp_path)
     assert done.returncode == 0
     verbs = re.findall(r"^    (\w+)  ", done.stdout, re.MULTILINE)
-    road = ["demo", "run", "check", "segment", "mesh", "fit", "report", "bench"]
+    road = ["demo", "run", "check", "segment", "mesh", "fit", "report", "plan", "bench"]
     assert verbs == [verb for verb in road if verb in verbs]
     assert {"demo", "run", "check", "bench"} <= set(verbs)
 

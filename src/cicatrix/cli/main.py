@@ -17,7 +17,17 @@ from .. import __version__
 from ..core.errors import CicatrixError, ConvergenceError, InputError
 from ..core.ranks import speaks, world
 
-VERBS = ("demo", "run", "check", "segment", "mesh", "fit", "bench")  # modules, in the order of the road
+VERBS = (
+    "demo",
+    "run",
+    "check",
+    "segment",
+    "mesh",
+    "fit",
+    "report",
+    "plan",
+    "bench",
+)  # modules, in the order of the road
 ON_RANKS = ("run",)  # what several ranks can do together
 
 DONE, INPUT_AT_FAULT, FAILED, INTERRUPTED = 0, 2, 3, 130

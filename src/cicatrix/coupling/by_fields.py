@@ -170,6 +170,14 @@ class FieldsCycle(HealingCycle):
         share = float(((CLOSED - low[late]) / (high[late] - low[late])).max(initial=0.0))
         return days_from_seconds(before.time + share * (after.time - before.time))
 
+    def shown(self, state: TissueState) -> dict[str, np.ndarray]:
+        """Besides what is filled: cells and collagen over those of healthy tissue, means of elements (n_elements,) [1]."""
+        assert state.course is not None
+        now, weights = state.course.now, self.transport.weights
+        points = {"cells_fraction": self.transport.at_points(now.fields[:, 0]), "collagen_fraction": now.local.phi}
+        means = {name: np.sum(at * weights, axis=1) / np.sum(weights, axis=1) for name, at in points.items()}
+        return super().shown(state) | means
+
     def measured(self, state: TissueState) -> dict[str, float]:
         """What the fields say of the cavity: means over it, and its size as it is now."""
         assert state.course is not None

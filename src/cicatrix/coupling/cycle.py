@@ -172,6 +172,10 @@ class HealingCycle:
         """Numbers that only this kind of healing has, by name."""
         return {}
 
+    def shown(self, state: TissueState) -> dict[str, np.ndarray]:
+        """What elements hold (n_elements,), by name."""
+        return {"filled_fraction": state.filled}
+
     def felt_deformation(self, x: np.ndarray) -> np.ndarray:
         """F that tissue feels, its volume ratio linear in each element: x (n_nodes, 3) [mm] -> (n_elements, n_qp, 3, 3)."""
         F = deformation_gradients(self.intact.frame.space, self.X, x)

@@ -35,9 +35,15 @@ def volumes(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
 
 def boundary(tetrahedra: np.ndarray) -> np.ndarray:
     """Nodes of the faces that belong to one tetrahedron only, outward: (m, 4) -> (n_faces, 3), (m, 10) -> (n_faces, 6)."""
+    return owned_boundary(tetrahedra)[0]
+
+
+def owned_boundary(tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The faces of :func:`boundary`, and the tetrahedron of each (n_faces,)."""
     faces = tetrahedra[:, FACES[:, : 3 if tetrahedra.shape[1] == 4 else 6]].reshape(4 * len(tetrahedra), -1)
     _, first, count = np.unique(np.sort(faces[:, :3]), axis=0, return_index=True, return_counts=True)
-    return faces[np.sort(first[count == 1])]
+    rows = np.sort(first[count == 1])
+    return faces[rows], rows // 4
 
 
 def neighbours(tetrahedra: np.ndarray) -> np.ndarray:

@@ -51,6 +51,12 @@ class Volume:
         """Return other values on the same grid."""
         return Volume(values, self.spacing_mm, self.origin_mm)
 
+    def every(self, steps: tuple[int, int, int]) -> Volume:
+        """Keep every n-th voxel along z, y, x, the first one of each axis among them."""
+        values = self.values[(..., *(slice(None, None, n) for n in steps))]
+        sz, sy, sx = (spacing * n for spacing, n in zip(self.spacing_mm[::-1], steps))
+        return Volume(np.ascontiguousarray(values), (sx, sy, sz), self.origin_mm)
+
     def from_axes(self, axes: str) -> Volume:
         """Return the same voxels (nz, ny, nx) in LPS, where x, y, z so far led as ``axes`` says: one of `AXES`."""
         source = {TOWARDS[letter][0]: (old, TOWARDS[letter][1]) for old, letter in enumerate(axes)}

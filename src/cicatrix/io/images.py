@@ -17,6 +17,7 @@ from ..geometry.labels import Label
 from ..geometry.volume import Volume
 from .dicom import series_files
 from .nifti import check_nifti
+from .pictures import steps_to
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 KNOWN = "NIfTI (.nii, .nii.gz), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a folder with one DICOM series"
@@ -46,6 +47,28 @@ def read_image(path: str | Path) -> Volume:
     image = _checked(_read(Path(path)), Path(path).name)
     image = _axis_aligned(sitk.Cast(image, sitk.sitkFloat32), sitk.sitkLinear)
     return _volume(image)
+
+
+def read_thinned(path: str | Path, most_voxels: int) -> tuple[Volume, str]:
+    """Read an image of any size: of one with more voxels than ``most_voxels`` every second, third, ... is kept.
+
+    Returns
+    -------
+    Volume, str
+        As :func:`read_image`, and a sentence on what was left out; empty if nothing was.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_image`.
+    """
+    image = _checked(_read(Path(path)), Path(path).name)
+    nx, ny, nz = image.GetSize()
+    sx, sy, sz = image.GetSpacing()
+    kz, ky, kx = steps_to((nz, ny, nx), (sx, sy, sz), most_voxels)
+    words = f"The image has {nx}x{ny}x{nz} voxels; every {kx}., {ky}. and {kz}. is kept along its axes."
+    thin = _axis_aligned(sitk.Cast(image[::kx, ::ky, ::kz], sitk.sitkFloat32), sitk.sitkLinear)
+    return _volume(thin), words if max(kx, ky, kz) > 1 else ""
 
 
 def read_labels(path: str | Path) -> Volume:

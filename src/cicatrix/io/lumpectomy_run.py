@@ -14,6 +14,7 @@ from ..geometry.volume import Volume
 from ..healing.automaton import AutomatonState
 from ..image.phantom import phantom
 from ..image.segment import Segmentation, from_labels, segment
+from ..mechanics.body import Body
 from ..mechanics.equilibrium import Equilibrium
 from ..outcome.closure import middle_layer, wound_centre
 from ..study.case import LumpectomyCase
@@ -117,12 +118,17 @@ class LumpectomyRun:
     def _begin(self) -> tuple[Plan, HealingCycle, TissueState]:
         anatomy, notes = anatomy_of(self.case, self.progress)
         self.folder.save_labels(anatomy.labels)
+        if anatomy.image is not None:
+            self.folder.save_picture(anatomy.image)
         for note in notes:
             self.folder.note(note)
         with self.progress.stage("mesh"):
             planned = plan(self.case, anatomy)
             for note in planned.notes:
                 self.folder.note(note)
+            self.folder.found(
+                resection_centre_mm=planned.centre_mm, radius_in_body_mm=planned.radius_mm, slice_mm=planned.slice_mm
+            )
             margin, wanted = planned.margin_mm(anatomy), self.case.resection.margin_mm
             if margin < wanted:
                 self.folder.note(
@@ -142,6 +148,7 @@ class LumpectomyRun:
                 x, report = equilibrium.loaded(planned.intact, X, planned.gravity(position), start)
                 self.shapes[position, BEFORE] = x
                 self._tell(f"before surgery, {position}", report)
+                self._write_shape(planned, planned.intact, X, (position, BEFORE), (0, 0.0), {})
         cycle = self._cycle(planned, X, equilibrium)
         for note in thin_fronts_of(self.case, cycle):
             self.folder.note(note)
@@ -181,10 +188,7 @@ class LumpectomyRun:
         self.fronts.append(middle_layer(cycle.open_sites(state.healing), centre))
         self.rows.append(history_row(cycle, state))
         self.folder.record(self.rows[-1])
-        body = cycle.body(state)
         space = planned.intact.frame.space
-        weights = body.volumes(cycle.X)
-        W = np.sum(body.energy_density(cycle.X, state.x) * weights, axis=1) / np.sum(weights, axis=1)
         self.folder.write_fields(
             "body",
             state.cycle,
@@ -193,24 +197,56 @@ class LumpectomyRun:
             space.shape_nodes,
             {"displacement": (state.x - cycle.X)[: space.n_shape_nodes]},
             {
-                "filled_fraction": state.filled,
-                "strain_energy_density_kPa": W,
+                "strain_energy_density_kPa": mean_energy(cycle.body(state), cycle.X, state.x),
                 "cavity": planned.cavity.astype(np.int32),
+                **cycle.shown(state),
             },
         )
         self.folder.save_checkpoint(state.cycle, self._arrays(planned, cycle, state), self._scalars(state))
 
     def _visit(self, planned: Plan, cycle: HealingCycle, state: TissueState, moment: str) -> None:
         """Solve for the shape in every position."""
-        body = cycle.body(state)
+        body, when = cycle.body(state), (state.cycle, cycle.days(state.cycle))
         for position in self._positions:
-            if position == self._home:
-                self.shapes[position, moment] = state.x
-                continue
-            start = cycle.extension.fill(self.shapes[position, BEFORE], body.fraction)
-            x, report = cycle.equilibrium.loaded(body, cycle.X, planned.gravity(position), start)
-            self._tell(f"{moment}, {position}", report)
-            self.shapes[position, moment] = cycle.extension.fill(x, body.fraction)
+            self.shapes[position, moment] = self._shape(planned, cycle, state, moment, position)
+            self._write_shape(planned, body, cycle.X, (position, moment), when, cycle.shown(state))
+
+    def _shape(self, planned: Plan, cycle: HealingCycle, state: TissueState, moment: str, position: str) -> np.ndarray:
+        if position == self._home:
+            return state.x
+        body = cycle.body(state)
+        start = cycle.extension.fill(self.shapes[position, BEFORE], body.fraction)
+        x, report = cycle.equilibrium.loaded(body, cycle.X, planned.gravity(position), start)
+        self._tell(f"{moment}, {position}", report)
+        return cycle.extension.fill(x, body.fraction)
+
+    def _write_shape(
+        self,
+        planned: Plan,
+        body: Body,
+        X: np.ndarray,
+        which: tuple[str, str],
+        when: tuple[int, float],
+        shown: dict[str, np.ndarray],
+    ) -> None:
+        """Write a loaded shape; what it moved by since before surgery, per element what is ``shown`` and the energy."""
+        position, moment = which
+        x, before = self.shapes[which], self.shapes[position, BEFORE]
+        space = planned.intact.frame.space
+        self.folder.write_fields(
+            f"before-{position}" if moment == BEFORE else position,
+            *when,
+            x[: space.n_shape_nodes],
+            space.shape_nodes,
+            {"displacement": (x - before)[: space.n_shape_nodes]},
+            {
+                "filled_fraction": np.ones(space.n_elements),
+                "strain_energy_density_kPa": mean_energy(body, X, x),
+                "cavity": planned.cavity.astype(np.int32),
+                **shown,
+            },
+            folder="shapes",
+        )
 
     def _arrays(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> dict[str, np.ndarray]:
         arrays = {f"plan.{name}": array for name, array in planned.arrays().items()}
@@ -292,6 +328,12 @@ class LumpectomyRun:
                 x = self.shapes[position, moment]
                 data = {"displacement": x - before, "retraction_mm": planned.retraction(before, x)}
                 self.folder.write_surface(f"{position}-{moment}", x, planned.space.boundary, data)
+
+
+def mean_energy(body: Body, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Strain energy density, mean over each element (n_elements,) [kPa]."""
+    weights = body.volumes(X)
+    return np.sum(body.energy_density(X, x) * weights, axis=1) / np.sum(weights, axis=1)
 
 
 def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:

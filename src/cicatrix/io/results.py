@@ -28,10 +28,22 @@ from .folders import holds_something, lock, make, remove, sweep, unlock
 from .history import History, read_history, table_text
 from .images import write_volume
 from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
+from .pictures import picture
 from .progress import Progress
 from .surfaces import write_stl
 
-PRODUCTS = ("checkpoint", "outcome.json", "history.csv", "fields", "surfaces", "figures", "tables", "labels.nii.gz")
+SERIES_FOLDERS = ("fields", "shapes")
+PRODUCTS = (
+    "checkpoint",
+    "outcome.json",
+    "history.csv",
+    *SERIES_FOLDERS,
+    "surfaces",
+    "figures",
+    "tables",
+    "labels.nii.gz",
+    "picture.nii.gz",
+)
 
 
 @dataclass(frozen=True)
@@ -98,7 +110,7 @@ class RunFolder:
         self._made_here = False
         self._lock: int | None = None
         self._history = History(path / "history.csv")
-        self._frames: list[Frame] = []
+        self._frames: dict[str, list[Frame]] = {name: [] for name in SERIES_FOLDERS}
 
     @classmethod
     def open(
@@ -176,10 +188,11 @@ class RunFolder:
         checkpoints.keep_newest(path / "checkpoint", checkpoint.cycle)
         remove(path / "outcome.json")
         run._history.cut_after(checkpoint.cycle)
-        frames = read_series(path / "fields")
-        run._frames = [frame for frame in frames if frame.cycle <= checkpoint.cycle]
-        if frames:
-            write_series(path / "fields", run._frames)
+        for name in SERIES_FOLDERS:
+            frames = read_series(path / name)
+            run._frames[name] = [frame for frame in frames if frame.cycle <= checkpoint.cycle]
+            if frames:
+                write_series(path / name, run._frames[name])
         write_json(path / MANIFEST, manifest)
         return run
 
@@ -196,13 +209,17 @@ class RunFolder:
         cells: np.ndarray,
         point_data: Mapping[str, np.ndarray] | None = None,
         cell_data: Mapping[str, np.ndarray] | None = None,
+        folder: str = "fields",
     ) -> Path:
-        """Write ``fields/PART-CYCLE.vtu`` and enter it in the series; arguments as :func:`.fields.write_vtu`."""
+        """Write ``FOLDER/PART-CYCLE.vtu`` and enter it in the folder's series; arguments as :func:`.fields.write_vtu`.
+
+        ``fields`` holds the states that a run went through, ``shapes`` a body in the positions and at the visits asked for.
+        """
         frame = Frame(part, int(cycle), float(time_days))
-        path = self.path / "fields" / frame.file
+        path = self.path / folder / frame.file
         write_vtu(path, points, cells, point_data, cell_data)
-        self._frames = [*(other for other in self._frames if other.file != frame.file), frame]
-        write_series(self.path / "fields", self._frames)
+        self._frames[folder] = [*(other for other in self._frames[folder] if other.file != frame.file), frame]
+        write_series(self.path / folder, self._frames[folder])
         return path
 
     def write_surface(
@@ -228,9 +245,19 @@ class RunFolder:
 
     def save_labels(self, labels: Volume) -> Path:
         """Write the label map that the run is built on; corrected by hand, it can be a case's ``image.labels``."""
-        path = self.path / "labels.nii.gz"
+        return self._save_volume("labels", labels)
+
+    def save_picture(self, image: Volume) -> Path:
+        """Write the image as a report shows it (:func:`.pictures.picture`), voxels and geometry alone."""
+        shown, note = picture(image)
+        if note:
+            self.note(note)
+        return self._save_volume("picture", shown)
+
+    def _save_volume(self, name: str, volume: Volume) -> Path:
+        path = self.path / f"{name}.nii.gz"
         with replacing(path) as half:
-            write_volume(half, labels)
+            write_volume(half, volume)
         return path
 
     def save_checkpoint(
@@ -257,6 +284,10 @@ class RunFolder:
     def note(self, sentence: str) -> None:
         """Add a sentence to the manifest's notes."""
         self._manifest["notes"].append(sentence)
+
+    def found(self, **values: Any) -> None:
+        """Keep what a case left open and the run has found, under ``found`` in the manifest."""
+        self._manifest["found"] = {**self._manifest.get("found", {}), **plain(values)}
 
     def finish(self, sentence: str) -> None:
         """Set the sentence that the manifest gives once the block is left without an error."""

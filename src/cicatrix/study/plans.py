@@ -106,6 +106,11 @@ class Plan(ABC):
             )
         return int(np.argmin(away))
 
+    @property
+    def slice_mm(self) -> float | None:
+        """Where a section lies along its normal, LPS [mm]; a solid has none."""
+        return None
+
     @abstractmethod
     def from_patient(self, vectors: np.ndarray) -> np.ndarray:
         """LPS components in the body's axes: (..., 3) -> (..., 3)."""

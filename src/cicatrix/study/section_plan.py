@@ -50,6 +50,11 @@ class SectionPlan(Plan):
     section: Section
     mesh: skfem.MeshTri
 
+    @property
+    def slice_mm(self) -> float:
+        """Where it lies along its normal, LPS [mm]."""
+        return float(self.section.position_mm)
+
     def from_patient(self, vectors: np.ndarray) -> np.ndarray:
         """LPS components in the section's axes: (..., 3) -> (..., 3)."""
         return self.section.from_patient(vectors)

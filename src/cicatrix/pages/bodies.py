@@ -1,0 +1,226 @@
+"""Bodies of a run as triangles that a page can draw: every visit, every position, whole and cut open."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+
+from ..core.units import weeks_from_days
+from ..geometry.tetrahedra import owned_boundary
+from ..io.fields import Frame, read_series
+from .account import Account
+from .packing import packed
+
+MOST_MOMENTS = 12  # per position that a page is given
+PRESENT = 0.5  # an element with less tissue than this share is drawn as a hole
+BEFORE = "before-"
+NAMES = {  # of what a body can be coloured by: what the page says, unit
+    "displacement": ("moved since before surgery", "mm"),
+    "shift": ("moved since the reference shape", "mm"),
+    "strain_energy_density_kPa": ("strain energy density", "kPa"),
+    "filled_fraction": ("share that is filled with tissue", "1"),
+    "collagen_fraction": ("collagen, healthy = 1", "1"),
+    "cells_fraction": ("cells, healthy = 1", "1"),
+}
+HIDDEN = ("cavity",)
+UNITS = {"kPa": "kPa", "mm": "mm", "mm3": "mm³", "uJ": "µJ", "deg": "°"}
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """A body in a position at a moment.
+
+    Parameters
+    ----------
+    position : str
+        Upright, supine, prone, or "as loaded".
+    label : str
+        The moment in words.
+    days : float
+        After surgery; below 0 for before it.
+    points : (n, 3) array [mm]
+        Corners of elements.
+    cells : (m, 3 or 4) array
+        Triangles of a section, tetrahedra of a solid.
+    at_points, in_cells : dict of str to (n,) and (m,) array
+        What it can be coloured by.
+    """
+
+    position: str
+    label: str
+    days: float
+    points: np.ndarray
+    cells: np.ndarray
+    at_points: dict[str, np.ndarray]
+    in_cells: dict[str, np.ndarray]
+
+    @property
+    def is_solid(self) -> bool:
+        """Tetrahedra rather than triangles."""
+        return self.cells.shape[1] == 4
+
+    @property
+    def present(self) -> np.ndarray:
+        """Elements that hold tissue (m,) bool."""
+        return self.in_cells.get("filled_fraction", np.ones(len(self.cells))) >= PRESENT
+
+    @property
+    def cavity(self) -> np.ndarray:
+        """Elements that surgery takes out (m,) bool."""
+        return self.in_cells.get("cavity", np.zeros(len(self.cells))).astype(bool)
+
+
+def shapes_of(account: Account) -> list[Shape]:
+    """Shapes at the visits, in order of position and time; of a run without them, the states that it went through."""
+    frames = read_series(account.folder / "shapes")
+    if frames:
+        last = max(frame.cycle for frame in frames)
+        return [_read(account.folder / "shapes", frame, *_visit(account, frame, last)) for frame in _thinned(frames)]
+    frames = read_series(account.folder / "fields")
+    where = account.case["coupling"]["healing_position"] if account.kind == "lumpectomy" else "as loaded"
+    return [_read(account.folder / "fields", f, where, _moment(account, f)) for f in _thinned(frames)]
+
+
+def _thinned(frames: list[Frame]) -> list[Frame]:
+    """Evenly spaced frames of each part, the first and the last among them."""
+    chosen: list[Frame] = []
+    for part in dict.fromkeys(frame.part for frame in frames):
+        own = sorted((f for f in frames if f.part == part), key=lambda f: f.cycle)
+        rows = np.unique(np.rint(np.linspace(0, len(own) - 1, min(len(own), MOST_MOMENTS))).astype(int))
+        chosen += [own[row] for row in rows]
+    return sorted(chosen, key=lambda f: (f.part.removeprefix(BEFORE), not f.part.startswith(BEFORE), f.cycle))
+
+
+def _visit(account: Account, frame: Frame, last: int) -> tuple[str, str]:
+    if frame.part.startswith(BEFORE):
+        return frame.part.removeprefix(BEFORE), "before surgery"
+    if frame.cycle == 0:
+        return frame.part, "after surgery"
+    closure = account.number("time_to_closure_days")
+    if frame.cycle == last and account.is_finished and closure is not None and closure.value is not None:
+        return frame.part, "healed"
+    return frame.part, f"week {weeks_from_days(frame.time_days):.3g}"
+
+
+def _moment(account: Account, frame: Frame) -> str:
+    if account.kind == "lumpectomy" and frame.cycle == 0:
+        return "after surgery"
+    return f"day {frame.time_days:.4g}" if frame.time_days else "at the start"
+
+
+def _read(folder: Path, frame: Frame, position: str, label: str) -> Shape:
+    mesh = meshio.read(folder / frame.file)
+    cells = mesh.cells[0].data
+    cells = cells[:, : 4 if mesh.cells[0].type.startswith("tetra") else 3]
+    used, renumbered = np.unique(cells, return_inverse=True)
+    points, shift = mesh.points[used], mesh.point_data.get("displacement")
+    at_points = {name: values[used] for name, values in mesh.point_data.items() if values.ndim == 1}
+    if shift is not None:
+        since_surgery = folder.name == "shapes"
+        at_points["displacement" if since_surgery else "shift"] = np.linalg.norm(shift[used], axis=1)
+        points = points if since_surgery else points + shift[used]
+    in_cells = {name: values[0] for name, values in mesh.cell_data.items() if values[0].ndim == 1}
+    days = -1.0 if frame.part.startswith(BEFORE) else frame.time_days
+    return Shape(position, label, days, points, renumbered.reshape(cells.shape), at_points, in_cells)
+
+
+def scene(shapes: list[Shape], case: dict[str, Any]) -> dict[str, Any]:
+    """What a page needs to draw them: triangles, colours per point and per triangle, and the range of each colour."""
+    behind = _half(shapes[0])
+    return {
+        "dimension": 3 if shapes[0].is_solid else 2,
+        "isDownward": not shapes[0].is_solid and case.get("image", {}).get("plane") == "axial",
+        "axes": _axes(shapes[0], case),
+        "side": case.get("image", {}).get("side", "left"),
+        "colours": _colours(shapes),
+        "shapes": [_drawn(shape, behind) for shape in shapes],
+    }
+
+
+def _axes(shape: Shape, case: dict[str, Any]) -> list[str]:
+    if case.get("kind") != "lumpectomy":
+        return ["x", "y", "z"]
+    names = ["left", "posterior", "superior"]
+    if shape.is_solid or case.get("image", {}).get("plane") == "axial":
+        return names
+    return names[1:] + names[:1]
+
+
+def _half(shape: Shape) -> np.ndarray:
+    """Elements on the far side of a sagittal plane through the cavity, or the middle (m,) bool."""
+    centres = shape.points[shape.cells].mean(axis=1)
+    middle = centres[shape.cavity].mean(axis=0) if shape.cavity.any() else np.median(centres, axis=0)
+    outer = centres[:, 0].mean() if not shape.cavity.any() else 0.0
+    return centres[:, 0] <= middle[0] if outer <= middle[0] else centres[:, 0] >= middle[0]
+
+
+def _drawn(shape: Shape, behind: np.ndarray) -> dict[str, Any]:
+    whole, cut = np.ones(len(shape.cells), bool), behind & shape.present
+    if not shape.is_solid:
+        surfaces = {"whole": (shape.cells[shape.present], np.flatnonzero(shape.present))}
+    else:
+        surfaces = {name: _skin(shape.cells, chosen) for name, chosen in (("whole", whole), ("cut", cut))}
+    used = np.unique(np.concatenate([triangles.ravel() for triangles, _ in surfaces.values()]))
+    row = np.zeros(len(shape.points), int)
+    row[used] = np.arange(len(used))
+    return {
+        "position": shape.position,
+        "label": shape.label,
+        "days": shape.days,
+        "points": packed(shape.points[used]),
+        "atPoints": {name: packed(values[used].astype(float)) for name, values in _shown(shape.at_points)},
+        "surfaces": {
+            name: {
+                "triangles": packed(row[triangles]),
+                "inCells": {key: packed(values[owner].astype(float)) for key, values in _shown(shape.in_cells)},
+            }
+            for name, (triangles, owner) in surfaces.items()
+        },
+        "outline": packed(row[_outline(shape)]) if not shape.is_solid else None,
+    }
+
+
+def _shown(values: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
+    return ((name, array) for name, array in values.items() if name not in HIDDEN)
+
+
+def _skin(cells: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Outer faces of chosen tetrahedra (n, 3), and the tetrahedron of each (n,)."""
+    rows = np.flatnonzero(chosen)
+    triangles, owner = owned_boundary(cells[rows])
+    return triangles, rows[owner]
+
+
+def _outline(shape: Shape) -> np.ndarray:
+    """Edges around a section, its cavity filled (n, 2)."""
+    edges = np.sort(shape.cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    unique, count = np.unique(edges, axis=0, return_counts=True)
+    return unique[count == 1]
+
+
+def _colours(shapes: list[Shape]) -> list[dict[str, Any]]:
+    """What can be coloured, and from where to where: over all shapes alike, the highest thousandth cut off."""
+    found: dict[str, list[np.ndarray]] = {}
+    for shape in shapes:
+        for values in (shape.at_points, {k: v[shape.present] for k, v in shape.in_cells.items()}):
+            for name, array in _shown(values):
+                found.setdefault(name, []).append(array)
+    colours = []
+    for name, arrays in found.items():
+        label, unit = NAMES.get(name, _words(name))
+        low, high = np.nanpercentile(np.concatenate(arrays).astype(float), (0.1, 99.9))
+        low = min(0.0, low) if low > 0 else low
+        colours.append({"name": name, "label": label, "unit": unit, "range": [low, max(high, low + 1e-9)]})
+    order = [*NAMES, *sorted(found)]
+    return sorted(colours, key=lambda colour: order.index(colour["name"]))
+
+
+def _words(name: str) -> tuple[str, str]:
+    """A column's name as words, and its unit."""
+    stem, _, tail = name.rpartition("_")
+    return (stem.replace("_", " "), UNITS[tail]) if tail in UNITS and stem else (name.replace("_", " "), "1")

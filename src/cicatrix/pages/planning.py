@@ -1,0 +1,185 @@
+"""What a planned resection would take, from the labels alone; and the case file that asks for it."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import ValidationError
+from scipy.ndimage import distance_transform_edt
+
+from ..core.errors import InputError
+from ..geometry.labels import TISSUES, Label
+from ..geometry.volume import Volume
+from ..io.atomic import write_bytes
+from ..io.cases import load_case
+from ..io.toml import toml_text
+from ..study.limits import NotNegative, Positive, Vector
+from ..study.plans import LEAST_SKIN_FLAP_MM
+from ..study.table import Table
+from .cosmesis import ML
+
+PITCH_UM = {2: 50.0, 3: 250.0}  # of the automaton's lattice: minutes rather than hours
+SOLID_MESH = {"edge_mm": 11.0, "cavity_edge_mm": 5.0}
+
+
+class Wish(Table):
+    """What the page asks for."""
+
+    centre_mm: Vector
+    radius_mm: Positive = 12.0
+    margin_mm: NotNegative = 5.0
+    dimension: Literal[2, 3] = 2
+    model: Literal["automaton", "fields"] = "automaton"
+    mode: Literal["one-way", "two-way"] = "two-way"
+
+    @classmethod
+    def of(cls, table: Any) -> Wish:
+        """Check what a page sent.
+
+        Raises
+        ------
+        InputError
+            If it is no wish; with the first fault.
+        """
+        try:
+            return cls.model_validate(table)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(part) for part in first["loc"]) or "the request"
+            raise InputError(f"{where}: {first['msg']}") from None
+
+
+@dataclass(frozen=True, eq=False)
+class PlanningTable:
+    """A segmented breast on which resections are tried.
+
+    Parameters
+    ----------
+    picture : Volume
+        Greys (nz, ny, nx) uint8.
+    labels : Volume
+        (nz, ny, nx).
+    image_keys : mapping
+        The ``[image]`` table of a case that starts from here; a path in it is absolute.
+    notes : tuple of str
+        What there is to tell.
+    """
+
+    picture: Volume
+    labels: Volume
+    image_keys: Mapping[str, Any]
+    notes: tuple[str, ...]
+
+    @cached_property
+    def breast(self) -> np.ndarray:
+        """Voxels of tissue (nz, ny, nx) bool."""
+        return np.isin(self.labels.values, TISSUES)
+
+    @cached_property
+    def depth_mm(self) -> np.ndarray:
+        """Distance of each voxel's centre to the nearest that is no breast, half a voxel less (nz, ny, nx) [mm]."""
+        return distance_transform_edt(self.breast, sampling=self.labels.spacing_mm[::-1]) - 0.5 * min(
+            self.labels.spacing_mm
+        )  # pyright: ignore[reportOperatorIssue]
+
+    @cached_property
+    def breast_mm3(self) -> float:
+        """Volume of the breast [mm^3]."""
+        return float(np.count_nonzero(self.breast) * np.prod(self.labels.spacing_mm))
+
+    def first_centre(self) -> np.ndarray:
+        """Where to start (3,) LPS [mm]: the tumour's centroid, or the place farthest from every border."""
+        tumour = np.argwhere(self.labels.values == Label.TUMOUR)
+        at = tumour.mean(axis=0) if len(tumour) else np.unravel_index(int(np.argmax(self.depth_mm)), self.labels.shape)
+        return self.labels.position(np.asarray(at, float))
+
+    def measured(self, wish: Wish) -> dict[str, Any]:
+        """Volume removed and its share, margin around the tumour, depth of the centre, and what speaks against it.
+
+        A voxel on the ball's border counts by how much of it lies inside, to first order. Tissue within
+        :data:`..study.plans.LEAST_SKIN_FLAP_MM` of the surface stays, as it does in a run.
+        """
+        centre = np.array(wish.centre_mm)
+        away = self._away(centre)
+        across = float(np.cbrt(np.prod(self.labels.spacing_mm)))
+        inside = np.clip(0.5 + (wish.radius_mm - away) / across, 0.0, 1.0)
+        taken = inside * (self.breast & (self.depth_mm >= LEAST_SKIN_FLAP_MM))
+        removed = float(taken.sum() * np.prod(self.labels.spacing_mm))
+        tumour = self.labels.values == Label.TUMOUR
+        margin = float(wish.radius_mm - away[tumour].max()) if tumour.any() else None
+        depth = float(self.labels.with_values(self.depth_mm).sample(centre[None])[0])
+        return {
+            "removed_ml": removed * ML,
+            "breast_ml": self.breast_mm3 * ML,
+            "percent": 100.0 * removed / self.breast_mm3,
+            "margin_mm": margin,
+            "depth_mm": depth,
+            "warnings": list(self._against(wish, depth, margin)),
+        }
+
+    def _away(self, centre: np.ndarray) -> np.ndarray:
+        z, y, x = (self.labels.axis(number) for number in range(3))
+        return np.sqrt((z[:, None, None] - centre[2]) ** 2 + (y[:, None] - centre[1]) ** 2 + (x - centre[0]) ** 2)
+
+    def _against(self, wish: Wish, depth: float, margin: float | None):
+        if depth < LEAST_SKIN_FLAP_MM:
+            yield f"The centre must lie at least {LEAST_SKIN_FLAP_MM:g} mm inside the breast; it lies {depth:.1f} mm inside."
+        widest = float(self.depth_mm.max())
+        if wish.radius_mm > widest:
+            yield f"The radius must be smaller than the breast, where the largest ball has {widest:.0f} mm."
+        if margin is not None and margin < wish.margin_mm:
+            yield f"The tumour keeps {margin:.1f} mm of margin; {wish.margin_mm:g} mm are wanted."
+
+    def case_text(self, wish: Wish, folder: Path) -> str:
+        """The case file, its paths relative to ``folder``."""
+        image = {
+            key: os.path.relpath(value, folder) if isinstance(value, Path) else value
+            for key, value in self.image_keys.items()
+        }
+        tables = {
+            "kind": "lumpectomy",
+            "dimension": wish.dimension,
+            "image": image,
+            "resection": {
+                "centre_mm": [round(c, 2) for c in wish.centre_mm],
+                "radius_mm": wish.radius_mm,
+                "margin_mm": wish.margin_mm,
+            },
+            "healing": {"model": wish.model, "pitch_um": PITCH_UM[wish.dimension]},
+            "coupling": {"mode": wish.mode},
+        }
+        return toml_text(tables | ({"mesh": SOLID_MESH} if wish.dimension == 3 else {}))
+
+
+def save_case(table: PlanningTable, wish: Wish, folder: Path) -> Path:
+    """Write the case as ``plan-1.toml``, ``plan-2.toml``, ...; the same wish keeps the file that it has.
+
+    Raises
+    ------
+    InputError
+        If it is no case that can be run; nothing is written then.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    text = table.case_text(wish, folder)
+    for number in range(1, 10_000):
+        path = folder / f"plan-{number}.toml"
+        if not path.exists():
+            break
+        if path.read_text(encoding="utf-8") == text:
+            return path
+    with tempfile.NamedTemporaryFile("w", suffix=".toml", dir=folder, encoding="utf-8") as half:
+        half.write(text)
+        half.flush()
+        try:
+            load_case(half.name)
+        except InputError as error:
+            raise InputError(str(error).removeprefix(f"{half.name}: ")) from None
+    write_bytes(path, text.encode())
+    return path

@@ -1,0 +1,45 @@
+"""Templates and assets: from values to the files of a page. Whatever a template is given is escaped."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from ..io.atomic import write_bytes
+
+ASSETS = ("libraries.js", "viewer.js", "style.css", "LICENCES.txt")
+TEMPLATES = Environment(
+    loader=PackageLoader("cicatrix.pages"),
+    autoescape=True,
+    undefined=StrictUndefined,
+    trim_blocks=True,
+    lstrip_blocks=True,
+)
+
+
+def rendered(template: str, values: Mapping[str, Any]) -> str:
+    """A page as text."""
+    return TEMPLATES.get_template(template).render(**values)
+
+
+def write_page(path: Path, template: str, values: Mapping[str, Any]) -> None:
+    """Write a page, whole or not at all."""
+    write_bytes(path, rendered(template, values).encode())
+
+
+def copy_assets(folder: Path) -> None:
+    """Put scripts, style and licences into ``folder``."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in ASSETS:
+        with resources.as_file(asset(name)) as source:
+            shutil.copyfile(source, folder / name)
+
+
+def asset(name: str) -> Any:
+    """A file that comes with the package."""
+    return resources.files("cicatrix.pages") / "assets" / name

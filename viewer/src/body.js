@@ -1,0 +1,222 @@
+// A body in space: one shape of a run at a time, coloured, whole or cut open, with the shape before surgery over it.
+import { csv, save, short, stored, unpack, withUnit } from "./data.js";
+import { colourOf, onTheme } from "./theme.js";
+
+const MAPS = { displacement: "viridis", shift: "viridis", filled_fraction: "cividis", collagen_fraction: "cividis" };
+const PLAIN = [0.86, 0.7, 0.6];
+const TURN = 10; // degrees per key
+
+export const BEFORE = "before surgery";
+
+// where a moment stands in time; labels are those of cicatrix.pages.bodies
+export function rank(shape) {
+  return shape.label === "healed" ? 1e9 : shape.label === BEFORE ? -2 : shape.days;
+}
+
+export class BodyView {
+  constructor(figure, letter) {
+    const { vtk } = globalThis.cicatrixLibraries;
+    Object.assign(this, { figure, vtk, scene: stored(letter, "body"), maps: stored(letter, "maps"), name: letter, arrays: new Map() });
+    this.canvas = figure.querySelector(".canvas");
+    this.window = vtk.GenericRenderWindow.newInstance({ background: colourOf("--stage") });
+    this.window.setContainer(this.canvas);
+    this.window.resize();
+    this.renderer = this.window.getRenderer();
+    this.camera = this.renderer.getActiveCamera();
+    this.actor = this.#actor();
+    this.ghost = this.#actor();
+    this.ghost.getProperty().setOpacity(this.isSolid ? 0.3 : 1);
+    if (!this.isSolid) this.#flat();
+    new ResizeObserver(() => this.#resize()).observe(this.canvas);
+    onTheme(() => { this.renderer.setBackground(colourOf("--stage")); this.#tint(); this.draw(); });
+    this.canvas.addEventListener("keydown", (event) => this.#key(event));
+    figure.querySelector('[data-save="png"]').addEventListener("click", () => this.#savePicture());
+    figure.querySelector('[data-save="csv"]').addEventListener("click", () => this.#saveData());
+  }
+
+  get isSolid() { return this.scene.dimension === 3; }
+  get shapes() { return this.scene.shapes; }
+
+  draw() { this.window.getRenderWindow().render(); }
+
+  // the shape in a position at a moment, or the nearest earlier one
+  pick(position, label, at) {
+    const own = this.shapes.filter((shape) => shape.position === position);
+    const candidates = own.length ? own : this.shapes;
+    const before = candidates.filter((shape) => rank(shape) <= at);
+    return candidates.find((shape) => shape.label === label) ?? before.at(-1) ?? candidates[0];
+  }
+
+  async show({ position, label, at, colour, range, cut, ghost }) {
+    const turn = (this.turn = (this.turn ?? 0) + 1);
+    const shape = this.pick(position, label, at);
+    const surface = shape.surfaces[cut && shape.surfaces.cut ? "cut" : "whole"];
+    const [points, triangles] = [await this.#array(shape.points), await this.#array(surface.triangles)];
+    const [isCell, packed] = colour in surface.inCells ? [true, surface.inCells[colour]] : [false, shape.atPoints[colour]];
+    const values = packed && (await this.#array(packed));
+    const old = this.shapes.find((other) => other.position === shape.position && other.label === BEFORE);
+    const outline = old?.outline && (await this.#array(old.outline));
+    const oldPoints = old && (await this.#array(old.points));
+    const oldTriangles = old && (await this.#array((cut && old.surfaces.cut ? old.surfaces.cut : old.surfaces.whole).triangles));
+    if (turn !== this.turn) return; // another was asked for meanwhile
+    this.shown = { shape, points, triangles, values, colour, isCell };
+    this.#fill(this.actor, points, { triangles, values, isCell, range, map: MAPS[colour] ?? "inferno" });
+    this.ghost.setVisibility(Boolean(ghost && old));
+    if (ghost && old) this.#fill(this.ghost, oldPoints, outline ? { lines: outline } : { triangles: oldTriangles });
+    if (!this.placed) this.view(this.isSolid ? "front" : "flat");
+    this.draw();
+    this.#say(colour, range, label);
+    this.figure.dataset.drawn = `${shape.position}, ${shape.label}, ${colour}`;
+  }
+
+  view(name) {
+    const outward = this.scene.side === "left" ? 1 : -1;
+    const [from, up] = {
+      front: [[0, -1, 0], [0, 0, 1]],
+      side: [[outward, 0, 0], [0, 0, 1]],
+      below: [[0, -0.5, -1], [0, -1, 0.5]],
+      flat: this.scene.isDownward ? [[0, 0, -1], [0, -1, 0]] : [[0, 0, 1], [0, 1, 0]],
+    }[name];
+    this.camera.setFocalPoint(0, 0, 0);
+    this.camera.setPosition(...from);
+    this.camera.setViewUp(...up);
+    this.renderer.resetCamera();
+    this.camera.zoom(this.isSolid ? 1.2 : 1.35);
+    this.renderer.resetCameraClippingRange();
+    this.placed = true;
+    this.draw();
+  }
+
+  // follow the camera of another view
+  follow(other) {
+    this.camera.set({ position: other.camera.getPosition(), focalPoint: other.camera.getFocalPoint(), viewUp: other.camera.getViewUp(),
+      parallelScale: other.camera.getParallelScale(), viewAngle: other.camera.getViewAngle() });
+    this.renderer.resetCameraClippingRange();
+    this.draw();
+  }
+
+  #actor() {
+    const mapper = this.vtk.Mapper.newInstance();
+    const actor = this.vtk.Actor.newInstance();
+    actor.setMapper(mapper);
+    return actor; // joins the scene once it has a shape: VTK complains of one without
+  }
+
+  #flat() {
+    const style = this.vtk.InteractorStyleManipulator.newInstance();
+    style.addMouseManipulator(this.vtk.Pan.newInstance({ button: 1 }));
+    style.addMouseManipulator(this.vtk.Zoom.newInstance({ scrollEnabled: true, dragEnabled: false }));
+    this.window.getInteractor().setInteractorStyle(style);
+    this.camera.setParallelProjection(true);
+    this.actor.getProperty().setLighting(false);
+  }
+
+  #tint() {
+    this.ghost.getProperty().setColor(...colourOf("--ink"));
+    this.ghost.getProperty().setLineWidth(2);
+  }
+
+  #fill(actor, points, { triangles, lines, values, isCell, range, map }) {
+    const data = this.vtk.PolyData.newInstance();
+    data.getPoints().setData(points, 3);
+    if (triangles) data.getPolys().setData(counted(triangles, 3));
+    if (lines) data.getLines().setData(counted(lines, 2));
+    const mapper = actor.getMapper();
+    mapper.setScalarVisibility(Boolean(values));
+    if (values) {
+      const scalars = this.vtk.DataArray.newInstance({ name: "value", values, numberOfComponents: 1 });
+      (isCell ? data.getCellData() : data.getPointData()).setScalars(scalars);
+      mapper.setScalarMode(isCell ? 2 : 1);
+      mapper.setInterpolateScalarsBeforeMapping(!isCell);
+      mapper.setLookupTable(this.#table(map, range));
+      mapper.setUseLookupTableScalarRange(true);
+      this.#scale(map, range);
+    } else if (actor === this.actor) {
+      actor.getProperty().setColor(...PLAIN);
+      this.#scale(null);
+    }
+    if (actor === this.ghost) this.#tint();
+    mapper.setInputData(data);
+    this.renderer.addActor(actor);
+  }
+
+  #table(map, [low, high]) {
+    const table = this.vtk.ColorTransferFunction.newInstance();
+    const stops = this.maps[map];
+    stops.forEach((rgb, k) => table.addRGBPoint(low + ((high - low) * k) / (stops.length - 1), ...rgb));
+    return table;
+  }
+
+  #scale(map, range) {
+    const scale = this.figure.querySelector(".scale");
+    scale.hidden = !map;
+    if (!map) return;
+    const stops = this.maps[map].map((rgb) => `rgb(${rgb.map((c) => Math.round(255 * c)).join(" ")})`);
+    scale.querySelector(".bar").style.background = `linear-gradient(to right, ${stops.join(", ")})`;
+    scale.querySelector(".low").textContent = short(range[0]);
+    scale.querySelector(".high").textContent = short(range[1]);
+  }
+
+  #say(name, range, wanted) {
+    const { shape, values } = this.shown;
+    const colour = this.scene.colours.find((entry) => entry.name === name);
+    this.figure.querySelector(".where").textContent = `${shape.label}, ${shape.position}`;
+    this.figure.querySelector(".unit").textContent = colour ? withUnit(colour.label, colour.unit) : "";
+    const instead = shape.label === wanted ? "" : ` There is no ${wanted} in this run; this is ${shape.label}.`;
+    const most = colour && values ? ` ${colour.label}: ${short(least(values))} to ${short(greatest(values))} ${colour.unit === "1" ? "" : colour.unit}.` : "";
+    this.figure.querySelector(".said").textContent = `${shape.label}, ${shape.position}.${most}${instead}`;
+  }
+
+  #resize() {
+    this.window.resize();
+    this.draw();
+  }
+
+  #key(event) {
+    const turns = { ArrowLeft: ["azimuth", -TURN], ArrowRight: ["azimuth", TURN], ArrowUp: ["elevation", TURN], ArrowDown: ["elevation", -TURN] };
+    const zooms = { "+": 1.1, "=": 1.1, "-": 1 / 1.1 };
+    if (event.key in zooms) this.camera.zoom(zooms[event.key]);
+    else if (event.key in turns && this.isSolid) this.camera[turns[event.key][0]](turns[event.key][1]);
+    else return;
+    event.preventDefault();
+    this.camera.orthogonalizeViewUp();
+    this.renderer.resetCameraClippingRange();
+    this.draw();
+  }
+
+  async #array(packed) {
+    if (!this.arrays.has(packed)) this.arrays.set(packed, unpack(packed));
+    return this.arrays.get(packed);
+  }
+
+  async #savePicture() {
+    const shot = this.window.getApiSpecificRenderWindow().captureNextImage("image/png");
+    this.draw();
+    save(`body-${this.name}.png`, await shot);
+  }
+
+  #saveData() {
+    const { shape, points, triangles, values, colour, isCell } = this.shown;
+    const rows = [];
+    if (isCell) {
+      for (let t = 0; t < triangles.length / 3; t++) rows.push([...[0, 1, 2].map((c) => mean(points, triangles, t, c)), values?.[t] ?? ""]);
+    } else {
+      for (let p = 0; p < points.length / 3; p++) rows.push([points[3 * p], points[3 * p + 1], points[3 * p + 2], values?.[p] ?? ""]);
+    }
+    save(`body-${this.name}-${shape.position}-${shape.label}.csv`.replaceAll(" ", "-"), csv(["x_mm", "y_mm", "z_mm", colour || "no_colour"], rows), "text/csv");
+  }
+}
+
+const least = (values) => values.reduce((a, b) => Math.min(a, b), Infinity);
+const greatest = (values) => values.reduce((a, b) => Math.max(a, b), -Infinity);
+const mean = (points, triangles, t, c) => (points[3 * triangles[3 * t] + c] + points[3 * triangles[3 * t + 1] + c] + points[3 * triangles[3 * t + 2] + c]) / 3;
+
+// what VTK takes: every cell after its number of points
+function counted(cells, n) {
+  const out = new Uint32Array((cells.length / n) * (n + 1));
+  for (let k = 0, at = 0; k < cells.length; k += n) {
+    out[at++] = n;
+    for (let j = 0; j < n; j++) out[at++] = cells[k + j];
+  }
+  return out;
+}
