@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import io
 import re
 from collections.abc import Mapping
+from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -12,6 +14,7 @@ from xml.sax.saxutils import quoteattr
 import meshio
 import numpy as np
 
+from ..core.errors import InputError
 from .atomic import replacing, write_bytes
 
 SERIES = "series.pvd"
@@ -70,6 +73,21 @@ def write_vtu(
     )
     with replacing(path) as temporary:
         mesh.write(temporary, file_format="vtu", binary=True, compression="zlib")
+
+
+def read_mesh(path: Path) -> meshio.Mesh:
+    """Read a file of a mesh with its data, whatever its format.
+
+    Raises
+    ------
+    InputError
+        If that cannot be done.
+    """
+    try:
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # it tells faults there, and then exits
+            return meshio.read(path)
+    except (Exception, SystemExit) as error:
+        raise InputError(f"{path.name} cannot be read as a mesh: {str(error) or type(error).__name__}") from None
 
 
 def write_series(folder: Path, frames: list[Frame]) -> None:

@@ -14,7 +14,7 @@ from ..core.errors import InputError
 from ..core.units import density_kg_m3, density_kg_mm3, mm_from
 from ..geometry.meshing3d import BodyMesh
 from ..geometry.tetrahedra import boundary, check, unmirrored
-from .fields import write_vtu
+from .fields import read_mesh, write_vtu
 
 CELLS = {"tetra": 4, "tetra10": 10}
 T = TypeVar("T")
@@ -88,10 +88,7 @@ def read_wound(path: Path, unit: str) -> tuple[Solid, np.ndarray]:
 
 def _read(path: Path, of: Callable[[meshio.Mesh], T]) -> T:
     """What a file's mesh makes; sentences on it begin with the file's name."""
-    try:
-        mesh = meshio.read(path)
-    except (meshio.ReadError, OSError, ValueError, KeyError, SystemExit) as error:
-        raise InputError(f"{path.name} cannot be read as a mesh: {str(error) or type(error).__name__}") from None
+    mesh = read_mesh(path)
     try:
         return of(mesh)
     except InputError as error:

@@ -85,7 +85,7 @@ def read_account(folder: Path, letter: str = "A") -> Account:
     if manifest is None:
         raise InputError(f"{folder} holds no run: it has no {MANIFEST}; give a folder that cicatrix run has made")
     results, broken = _readable(folder, manifest)
-    missing = [*_version_gap(manifest), *broken, *_gaps(results)]
+    missing = [*_version_gap(manifest), *_unfinished(results), *(broken or _gaps(results))]
     return Account(letter, folder.resolve().name, results, tuple(missing))
 
 
@@ -108,11 +108,13 @@ def _order(version: str) -> tuple[int, ...]:
     return tuple(int(part) for part in version.split(".") if part.isdecimal())
 
 
-def _gaps(results: Results) -> list[str]:
+def _unfinished(results: Results) -> list[str]:
     state, sentence = results.status
+    return [] if state == "finished" else [f"The run is not finished: {sentence} What follows is as far as it came."]
+
+
+def _gaps(results: Results) -> list[str]:
     gaps = []
-    if state != "finished":
-        gaps.append(f"The run is not finished: {sentence} What follows is as far as it came.")
     if not results.history:
         gaps.append("There is no history yet (history.csv), hence no curves.")
     if not results.outcome:

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import meshio
 import numpy as np
 
 from ..core.units import weeks_from_days
 from ..geometry.tetrahedra import owned_boundary
-from ..io.fields import Frame, read_series
+from ..io.fields import Frame, read_mesh, read_series
 from .account import Account
 from .packing import packed
 
@@ -114,7 +113,7 @@ def _moment(account: Account, frame: Frame) -> str:
 
 
 def _read(folder: Path, frame: Frame, position: str, label: str) -> Shape:
-    mesh = meshio.read(folder / frame.file)
+    mesh = read_mesh(folder / frame.file)
     cells = mesh.cells[0].data
     cells = cells[:, : 4 if mesh.cells[0].type.startswith("tetra") else 3]
     used, renumbered = np.unique(cells, return_inverse=True)

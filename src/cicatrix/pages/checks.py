@@ -52,7 +52,8 @@ def _conserved(account: Account) -> Iterator[Check]:
 def _cells(account: Account) -> Iterator[Check]:
     clamped = account.column("clamped_cells")
     if clamped.size:
-        yield Check("cells that found no place", f"{clamped[-1]:.0f}", "0", bool(clamped[-1] == 0))
+        name = "cells whose probability to divide was cut to 1, at most in a row of the history"
+        yield Check(name, f"{clamped.max():.0f}", "", None)
     closed = account.column("closed_fraction")
     if closed.size > 1:
         back = float(max(0.0, -np.diff(closed).min()))

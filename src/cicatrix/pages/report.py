@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from xml.etree.ElementTree import ParseError
 
 from matplotlib import colormaps
 
@@ -122,9 +123,9 @@ def _write_data(page: Path, account: Account, tell: Told) -> Contents:
     shapes: list[Shape] = []
     try:
         shapes = shapes_of(account)
-    except Exception as error:  # meshio and XML raise what they like on damaged files
-        missing.append(f"The bodies cannot be read ({type(error).__name__}): a file in shapes or fields is damaged.")
-    if not shapes and account.kind == "lumpectomy":
+    except (InputError, ParseError) as error:
+        missing.append(f"The bodies cannot be read: {error}")
+    if not shapes and not any("bodies" in gap for gap in missing) and account.kind == "lumpectomy":
         missing.append("There are no bodies yet (shapes, fields), so none is drawn.")
     parts = {
         "slices": slices,
