@@ -58,7 +58,7 @@ export function drawCurves(runs) {
     home.append(figure);
     const rows = runs.flatMap((run) => series(run, name));
     const over = runs[0].curves.columns.find((column) => column.name === runs[0].curves.over);
-    const names = [...new Set(rows.map((row) => row.run))];
+    const names = runs.map((run) => run.letter);
     draw(figure, name, (Plot) => ({
       height: 220,
       color: { domain: names, range: COLOURS, legend: runs.length > 1 },

@@ -45,7 +45,7 @@ def run(args: argparse.Namespace) -> int:
 
     if args.out.is_file():
         raise InputError(f"--out: {args.out} is a file; give a folder")
-    table = _table(args)
+    table = build_table(args.image, args.labels, weighting=args.weighting, side=args.side, position=args.position)
     with tempfile.TemporaryDirectory() as site:
         planner = Planner(table, args.out.resolve(), Path(site))
         try:
@@ -65,7 +65,21 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _table(args: argparse.Namespace) -> PlanningTable:
+def build_table(
+    image: Path | None,
+    labels: Path | None = None,
+    *,
+    weighting: str = "t1",
+    side: str = "left",
+    position: str = "prone",
+) -> PlanningTable:
+    """Read and segment an image, or take its labels as given; without an image, the phantom.
+
+    Raises
+    ------
+    InputError
+        If the image cannot be read or shows no breast.
+    """
     from ..image.phantom import phantom
     from ..image.segment import from_labels, segment
     from ..io.images import read_labels, read_thinned
@@ -74,21 +88,21 @@ def _table(args: argparse.Namespace) -> PlanningTable:
     from ..pages.slices import thin_labels
     from ..study.case import Image, Run
 
-    keys = {"side": args.side, "weighting": args.weighting, "position": args.position}
-    if args.image is None:
-        if args.labels is not None:
+    keys = {"side": side, "weighting": weighting, "position": position}
+    if image is None:
+        if labels is not None:
             raise InputError("--labels needs an IMAGE beside it")
         voxel, seed = Image(phantom="half-ellipsoid").voxel_mm, Run().seed
-        image, truth = phantom(spacing_mm=voxel, seed=seed, weighting=args.weighting, side=args.side)
-        return PlanningTable(picture(image)[0], thin_labels(truth), {"phantom": "half-ellipsoid", **keys}, ())
-    image, thinned = read_thinned(args.image, MOST_VOXELS)
-    shown, also_thinned = picture(image)
-    keys |= {"path": args.image.resolve()}
-    if args.labels is not None:
-        found = from_labels(read_labels(args.labels))
-        keys |= {"labels": args.labels.resolve()}
+        made, truth = phantom(spacing_mm=voxel, seed=seed, weighting=weighting, side=side)
+        return PlanningTable(picture(made)[0], thin_labels(truth), {"phantom": "half-ellipsoid", **keys}, ())
+    volume, thinned = read_thinned(image, MOST_VOXELS)
+    shown, also_thinned = picture(volume)
+    keys |= {"path": image.resolve()}
+    if labels is not None:
+        found = from_labels(read_labels(labels))
+        keys |= {"labels": labels.resolve()}
     else:
         print("segmenting ...", flush=True)
-        found = segment(image, weighting=args.weighting, side=args.side, position=args.position)
+        found = segment(volume, weighting=weighting, side=side, position=position)
     notes = [note for note in (thinned, also_thinned, *found.notes) if note]
     return PlanningTable(shown, thin_labels(found.labels), keys, tuple(notes))

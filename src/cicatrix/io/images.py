@@ -66,8 +66,10 @@ def read_thinned(path: str | Path, most_voxels: int) -> tuple[Volume, str]:
     nx, ny, nz = image.GetSize()
     sx, sy, sz = image.GetSpacing()
     kz, ky, kx = steps_to((nz, ny, nx), (sx, sy, sz), most_voxels)
-    words = f"The image has {nx}x{ny}x{nz} voxels; every {kx}., {ky}. and {kz}. is kept along its axes."
-    thin = _axis_aligned(sitk.Cast(image[::kx, ::ky, ::kz], sitk.sitkFloat32), sitk.sitkLinear)
+    image = image[::kx, ::ky, ::kz]
+    kept = "x".join(str(n) for n in image.GetSize())
+    words = f"The image has {nx}x{ny}x{nz} voxels; {kept} of them are used."
+    thin = _axis_aligned(sitk.Cast(image, sitk.sitkFloat32), sitk.sitkLinear)
     return _volume(thin), words if max(kx, ky, kz) > 1 else ""
 
 

@@ -139,10 +139,17 @@
       this.camera.setPosition(...from);
       this.camera.setViewUp(...up);
       this.renderer.resetCamera();
-      this.camera.zoom(this.isSolid ? 1.2 : 1.35);
+      if (this.isSolid) this.camera.zoom(1.2);
+      else this.#fit();
       this.renderer.resetCameraClippingRange();
       this.placed = true;
       this.draw();
+    }
+    // a section fills its frame, whatever the frame's shape
+    #fit() {
+      const [x0, x1, y0, y1] = this.actor.getBounds();
+      const aspect = this.canvas.clientWidth / this.canvas.clientHeight;
+      this.camera.setParallelScale(0.53 * Math.max(y1 - y0, (x1 - x0) / aspect));
     }
     // follow the camera of another view
     follow(other) {
@@ -325,7 +332,7 @@
       home.append(figure);
       const rows = runs.flatMap((run) => series(run, name));
       const over = runs[0].curves.columns.find((column) => column.name === runs[0].curves.over);
-      const names = [...new Set(rows.map((row) => row.run))];
+      const names = runs.map((run) => run.letter);
       draw(figure, name, (Plot) => ({
         height: 220,
         color: { domain: names, range: COLOURS, legend: runs.length > 1 },
