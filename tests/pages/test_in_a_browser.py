@@ -103,20 +103,20 @@ def test_the_body_is_drawn_and_follows_its_controls(opened, reports, name):
     page = opened((reports / name / "index.html").as_uri())
     healed = shown(page)
     assert not is_blank(healed)
-    assert page.locator('[data-body="A"]').get_attribute("data-drawn") == "supine, healed, displacement"
+    assert page.locator('[data-body="A"]').get_attribute("data-drawn") == "upright, healed, displacement"
     set_moment(page, 0)
-    page.wait_for_selector('[data-drawn="supine, before surgery, displacement"]')
+    page.wait_for_selector('[data-drawn="upright, before surgery, displacement"]')
     before = shown(page)
     assert differ(healed, before)
-    page.get_by_role("radio", name="upright").check()
+    page.get_by_role("radio", name="supine").check()
     set_moment(page, 3)
-    page.wait_for_selector('[data-drawn="upright, healed, displacement"]')
-    upright = shown(page)
-    assert differ(healed, upright)
-    assert "0 to 7 mm" in page.locator("[data-body] .said").inner_text()
+    page.wait_for_selector('[data-drawn="supine, healed, displacement"]')
+    supine = shown(page)
+    assert differ(healed, supine)
+    assert "0 to 3.5 mm" in page.locator("[data-body] .said").inner_text()
     page.locator("#colour").select_option("strain_energy_density_kPa")
-    page.wait_for_selector('[data-drawn="upright, healed, strain_energy_density_kPa"]')
-    assert differ(upright, shown(page))
+    page.wait_for_selector('[data-drawn="supine, healed, strain_energy_density_kPa"]')
+    assert differ(supine, shown(page))
 
 
 def test_a_body_is_cut_turned_and_compared_with_before(opened, reports):
@@ -139,9 +139,9 @@ def test_a_slider_moves_by_keys_and_says_where_it_is(opened, reports):
     page = opened((reports / "plane" / "index.html").as_uri())
     page.locator("#moment").focus()
     page.keyboard.press("ArrowLeft")
-    page.wait_for_selector('[data-drawn="supine, week 2, displacement"]')
+    page.wait_for_selector('[data-drawn="upright, week 2, displacement"]')
     assert page.locator("#moment").get_attribute("aria-valuetext") == "week 2"
-    assert page.locator("[data-body] .said").inner_text().startswith("week 2, supine")
+    assert page.locator("[data-body] .said").inner_text().startswith("week 2, upright")
 
 
 def test_slices_are_drawn_and_labels_can_be_taken_off(opened, reports):
@@ -168,16 +168,16 @@ def test_curves_and_outlines_are_drawn_with_units_and_come_with_their_data(opene
     assert "days after surgery [days]" in chart.locator("svg").last.text_content()
     with page.expect_download() as waiting:
         chart.get_by_role("button", name="Data").click()
-    rows = waiting.value.path().read_text().splitlines()
-    assert rows[0] == "run,day,open_percent,open_mm²"
+    rows = waiting.value.path().read_text(encoding="utf-8").splitlines()
+    assert rows[0] == "run,day,open_percent,open_area_mm2"
     assert rows[-1] == "plane,42,0,0"
     with page.expect_download() as waiting:
         page.locator('[data-chart="outline-upright"]').get_by_role("button", name="SVG").click()
-    assert waiting.value.path().read_text().count("<path") >= 4 * 40  # four moments, forty edges
+    assert waiting.value.path().read_text(encoding="utf-8").count("<path") >= 4 * 40  # four moments, forty edges
     with page.expect_download() as waiting:
         page.locator("[data-body]").get_by_role("button", name="Data").click()
     table = np.genfromtxt(waiting.value.path(), delimiter=",", names=True)
-    assert table["displacement"].max() == pytest.approx(3.5, rel=1e-5)  # supine, healed: half of 7 mm
+    assert table["displacement"].max() == pytest.approx(7.0, rel=1e-5)  # upright, healed
 
 
 def test_light_and_dark(opened, reports):
@@ -212,7 +212,7 @@ def test_runs_side_by_side_share_slider_camera_and_scale(opened, reports):
     assert np.abs(a[:height] - b[:height]).mean() < 0.01  # the same shapes, seen alike
     set_moment(page, 0)
     for letter in "AB":
-        page.wait_for_selector(f'[data-body="{letter}"][data-drawn="supine, before surgery, displacement"]')
+        page.wait_for_selector(f'[data-body="{letter}"][data-drawn="upright, before surgery, displacement"]')
         assert page.locator(f'[data-body="{letter}"] .high').inner_text() == "7"
     page.locator('[data-body="A"] .canvas').focus()
     turned = shown(page, "B")
@@ -268,7 +268,7 @@ def test_a_resection_is_planned_run_stopped_gone_on_with_and_reported(opened, pl
     assert differ(before, pixels(slices))
     page.get_by_role("button", name="Save").click()
     page.wait_for_selector("#told:has-text('plan-1.toml')")
-    assert re.search(rf"centre_mm = \[{x - 5:.1f}", (out / "plan-1.toml").read_text())
+    assert re.search(rf"centre_mm = \[{x - 5:.1f}", (out / "plan-1.toml").read_text(encoding="utf-8"))
     page.get_by_role("button", name="Start").click()
     page.wait_for_selector("#closed-value:has-text('closed')", timeout=4 * LONG)
     page.get_by_role("button", name="Stop").click()
@@ -276,7 +276,7 @@ def test_a_resection_is_planned_run_stopped_gone_on_with_and_reported(opened, pl
     assert "resumed" in page.locator("#told").inner_text()
     page.get_by_role("button", name="Start").click()
     page.wait_for_selector("body[data-run='finished']", timeout=6 * LONG)
-    assert "Resumed after cycle" in (out / "plan-1" / "manifest.json").read_text()
+    assert "Resumed after cycle" in (out / "plan-1" / "manifest.json").read_text(encoding="utf-8")
     page.get_by_role("button", name="Report").click()
     page.wait_for_selector("#report-link")
     report = opened(server.address + page.locator("#report-link").get_attribute("href"), home=server.address)

@@ -2,7 +2,7 @@
 import { csv, save, short, stored, unpack, withUnit } from "./data.js";
 import { colourOf, onTheme } from "./theme.js";
 
-const MAPS = { displacement: "viridis", shift: "viridis", filled_fraction: "cividis", collagen_fraction: "cividis" };
+const MAPS = { displacement: "viridis", shift: "viridis", filled_fraction: "cividis", collagen_fraction: "cividis", cells_fraction: "cividis" };
 const PLAIN = [0.86, 0.7, 0.6];
 const TURN = 10; // degrees per key
 
@@ -50,17 +50,18 @@ export class BodyView {
   async show({ position, label, at, colour, range, cut, ghost }) {
     const turn = (this.turn = (this.turn ?? 0) + 1);
     const shape = this.pick(position, label, at);
-    const surface = shape.surfaces[cut && shape.surfaces.cut ? "cut" : "whole"];
-    const [points, triangles] = [await this.#array(shape.points), await this.#array(surface.triangles)];
-    const [isCell, packed] = colour in surface.inCells ? [true, surface.inCells[colour]] : [false, shape.atPoints[colour]];
+    const surfaceOf = ({ surfaces }) => (cut && surfaces.cut) || surfaces.whole;
+    const surface = surfaceOf(shape);
+    const [points, triangles] = [await this.#array(surface.points), await this.#array(surface.triangles)];
+    const [isCell, packed] = colour in surface.inCells ? [true, surface.inCells[colour]] : [false, surface.atPoints[colour]];
     const values = packed && (await this.#array(packed));
     const old = this.shapes.find((other) => other.position === shape.position && other.label === BEFORE);
     const outline = old?.outline && (await this.#array(old.outline));
-    const oldPoints = old && (await this.#array(old.points));
-    const oldTriangles = old && (await this.#array((cut && old.surfaces.cut ? old.surfaces.cut : old.surfaces.whole).triangles));
+    const oldPoints = old && (await this.#array(surfaceOf(old).points));
+    const oldTriangles = old && (await this.#array(surfaceOf(old).triangles));
     if (turn !== this.turn) return; // another was asked for meanwhile
     this.shown = { shape, points, triangles, values, colour, isCell };
-    this.#fill(this.actor, points, { triangles, values, isCell, range, map: MAPS[colour] ?? "inferno" });
+    this.#fill(this.actor, points, { triangles, values, isCell, range, map: MAPS[colour] ?? "plasma" });
     this.ghost.setVisibility(Boolean(ghost && old));
     if (ghost && old) this.#fill(this.ghost, oldPoints, outline ? { lines: outline } : { triangles: oldTriangles });
     if (!this.placed) this.view(this.isSolid ? "front" : "flat");
@@ -107,6 +108,8 @@ export class BodyView {
     const mapper = this.vtk.Mapper.newInstance();
     const actor = this.vtk.Actor.newInstance();
     actor.setMapper(mapper);
+    actor.getProperty().setAmbient(0.25);
+    actor.getProperty().setDiffuse(0.75);
     return actor; // joins the scene once it has a shape: VTK complains of one without
   }
 
@@ -128,6 +131,9 @@ export class BodyView {
     const data = this.vtk.PolyData.newInstance();
     data.getPoints().setData(points, 3);
     if (triangles) data.getPolys().setData(counted(triangles, 3));
+    if (triangles && this.isSolid) {
+      data.getPointData().setNormals(this.vtk.DataArray.newInstance({ name: "normals", values: normals(points, triangles), numberOfComponents: 3 }));
+    }
     if (lines) data.getLines().setData(counted(lines, 2));
     const mapper = actor.getMapper();
     mapper.setScalarVisibility(Boolean(values));
@@ -225,6 +231,22 @@ function counted(cells, n) {
   for (let k = 0, at = 0; k < cells.length; k += n) {
     out[at++] = n;
     for (let j = 0; j < n; j++) out[at++] = cells[k + j];
+  }
+  return out;
+}
+
+// outward at each point, the mean of its triangles by their areas
+function normals(points, triangles) {
+  const out = new Float32Array(points.length);
+  for (let t = 0; t < triangles.length; t += 3) {
+    const [a, b, c] = [0, 1, 2].map((k) => 3 * triangles[t + k]);
+    const [u, v] = [b, c].map((end) => [0, 1, 2].map((k) => points[end + k] - points[a + k]));
+    const n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+    for (const corner of [a, b, c]) for (let k = 0; k < 3; k++) out[corner + k] += n[k];
+  }
+  for (let p = 0; p < out.length; p += 3) {
+    const size = Math.hypot(out[p], out[p + 1], out[p + 2]) || 1;
+    for (let k = 0; k < 3; k++) out[p + k] /= size;
   }
   return out;
 }

@@ -42,7 +42,7 @@ export function drawClosing(figure, runs) {
       Plot.dot(clinic, { x: "day", y: "percent", symbol: "times", stroke: "currentColor", r: 5, strokeWidth: 2 }),
       Plot.tip(rows, Plot.pointerX({ x: "day", y: "percent", fill: "var(--paper)" })),
     ],
-  }), ["run", "day", "open_percent", `open_${runs[0].closing.sizeUnit || "size"}`], rows.map((row) => [row.run, row.day, row.percent, row.size]));
+  }), ["run", "day", "open_percent", runs[0].closing.sizeName || "open_size"], rows.map((row) => [row.run, row.day, row.percent, row.size]));
 }
 
 // every column of the histories of some runs, small
@@ -83,7 +83,7 @@ export async function drawOutlines(letter) {
     const rows = [];
     const shapes = scene.shapes.filter((shape) => shape.position === position).sort((a, b) => rank(a) - rank(b));
     for (const shape of shapes) {
-      const [points, edges] = [await unpack(shape.points), await unpack(shape.outline)];
+      const [points, edges] = [await unpack(shape.surfaces.whole.points), await unpack(shape.outline)];
       for (let k = 0; k < edges.length; k += 2) {
         const [a, b] = [3 * edges[k], 3 * edges[k + 1]];
         rows.push({ moment: shape.label, x1: points[a], y1: points[a + 1], x2: points[b], y2: points[b + 1] });

@@ -13,6 +13,7 @@ from ..core.units import weeks_from_days
 from ..geometry.tetrahedra import owned_boundary
 from ..io.fields import Frame, read_mesh, read_series
 from .account import Account
+from .cutting import Piece, clipped, face
 from .packing import packed
 
 MOST_MOMENTS = 12  # per position that a page is given
@@ -79,20 +80,29 @@ def shapes_of(account: Account) -> list[Shape]:
     frames = read_series(account.folder / "shapes")
     if frames:
         last = max(frame.cycle for frame in frames)
-        return [_read(account.folder / "shapes", frame, *_visit(account, frame, last)) for frame in _thinned(frames)]
+        asked = list(account.case.get("outcome", {}).get("positions", ()))
+        ordered = sorted(_thinned(frames), key=lambda frame: _place(frame, asked))
+        return [_read(account.folder / "shapes", frame, *_visit(account, frame, last)) for frame in ordered]
     frames = read_series(account.folder / "fields")
     where = account.case["coupling"]["healing_position"] if account.kind == "lumpectomy" else "as loaded"
     return [_read(account.folder / "fields", f, where, _moment(account, f)) for f in _thinned(frames)]
 
 
 def _thinned(frames: list[Frame]) -> list[Frame]:
-    """Evenly spaced frames of each part, the first and the last among them."""
+    """Evenly spaced frames of each part in time, the first and the last among them."""
     chosen: list[Frame] = []
     for part in dict.fromkeys(frame.part for frame in frames):
         own = sorted((f for f in frames if f.part == part), key=lambda f: f.cycle)
         rows = np.unique(np.rint(np.linspace(0, len(own) - 1, min(len(own), MOST_MOMENTS))).astype(int))
         chosen += [own[row] for row in rows]
-    return sorted(chosen, key=lambda f: (f.part.removeprefix(BEFORE), not f.part.startswith(BEFORE), f.cycle))
+    return chosen
+
+
+def _place(frame: Frame, asked: list[str]) -> tuple[int, str, bool, int]:
+    """Positions in the order of the case, then time."""
+    position = frame.part.removeprefix(BEFORE)
+    number = asked.index(position) if position in asked else len(asked)
+    return number, position, not frame.part.startswith(BEFORE), frame.cycle
 
 
 def _visit(account: Account, frame: Frame, last: int) -> tuple[str, str]:
@@ -114,30 +124,30 @@ def _moment(account: Account, frame: Frame) -> str:
 
 def _read(folder: Path, frame: Frame, position: str, label: str) -> Shape:
     mesh = read_mesh(folder / frame.file)
-    cells = mesh.cells[0].data
-    cells = cells[:, : 4 if mesh.cells[0].type.startswith("tetra") else 3]
-    used, renumbered = np.unique(cells, return_inverse=True)
-    points, shift = mesh.points[used], mesh.point_data.get("displacement")
-    at_points = {name: values[used] for name, values in mesh.point_data.items() if values.ndim == 1}
+    corners = 4 if mesh.cells[0].type.startswith("tetra") else 3
+    used, renumbered = np.unique(mesh.cells[0].data[:, :corners], return_inverse=True)
+    data = {name: np.asarray(values)[used] for name, values in mesh.point_data.items()}
+    points, shift = mesh.points[used], data.pop("displacement", None)
+    at_points = {name: values for name, values in data.items() if values.ndim == 1}
     if shift is not None:
         since_surgery = folder.name == "shapes"
-        at_points["displacement" if since_surgery else "shift"] = np.linalg.norm(shift[used], axis=1)
-        points = points if since_surgery else points + shift[used]
+        at_points["displacement" if since_surgery else "shift"] = np.linalg.norm(shift, axis=1)
+        points = points if since_surgery else points + shift
     in_cells = {name: values[0] for name, values in mesh.cell_data.items() if values[0].ndim == 1}
     days = -1.0 if frame.part.startswith(BEFORE) else frame.time_days
-    return Shape(position, label, days, points, renumbered.reshape(cells.shape), at_points, in_cells)
+    return Shape(position, label, days, points, renumbered.reshape(-1, corners), at_points, in_cells)
 
 
 def scene(shapes: list[Shape], case: dict[str, Any]) -> dict[str, Any]:
     """What a page needs to draw them: triangles, colours per point and per triangle, and the range of each colour."""
-    behind = _half(shapes[0])
+    height = _height(shapes[0])
     return {
         "dimension": 3 if shapes[0].is_solid else 2,
         "isDownward": not shapes[0].is_solid and case.get("image", {}).get("plane") == "axial",
         "axes": _axes(shapes[0], case),
         "side": case.get("image", {}).get("side", "left"),
         "colours": _colours(shapes),
-        "shapes": [_drawn(shape, behind) for shape in shapes],
+        "shapes": [_drawn(shape, height) for shape in shapes],
     }
 
 
@@ -150,49 +160,55 @@ def _axes(shape: Shape, case: dict[str, Any]) -> list[str]:
     return names[1:] + names[:1]
 
 
-def _half(shape: Shape) -> np.ndarray:
-    """Elements on the far side of a sagittal plane through the cavity, or the middle (m,) bool."""
-    centres = shape.points[shape.cells].mean(axis=1)
-    middle = centres[shape.cavity].mean(axis=0) if shape.cavity.any() else np.median(centres, axis=0)
-    outer = centres[:, 0].mean() if not shape.cavity.any() else 0.0
-    return centres[:, 0] <= middle[0] if outer <= middle[0] else centres[:, 0] >= middle[0]
+def _height(shape: Shape) -> np.ndarray:
+    """Distance of corners from the sagittal plane through the cavity, or the middle; below 0 on its medial side (k,) [mm]."""
+    x = shape.points[:, 0]
+    middle = x[shape.cells[shape.cavity]].mean() if shape.cavity.any() else np.median(x)
+    return (x - middle) * (1.0 if middle >= 0.0 else -1.0)
 
 
-def _drawn(shape: Shape, behind: np.ndarray) -> dict[str, Any]:
-    whole, cut = np.ones(len(shape.cells), bool), behind & shape.present
-    if not shape.is_solid:
-        surfaces = {"whole": (shape.cells[shape.present], np.flatnonzero(shape.present))}
-    else:
-        surfaces = {name: _skin(shape.cells, chosen) for name, chosen in (("whole", whole), ("cut", cut))}
-    used = np.unique(np.concatenate([triangles.ravel() for triangles, _ in surfaces.values()]))
-    row = np.zeros(len(shape.points), int)
-    row[used] = np.arange(len(used))
+def _drawn(shape: Shape, height: np.ndarray) -> dict[str, Any]:
+    whole = _whole(shape)
+    surfaces = {"whole": whole} | ({"cut": _cut(shape, height)} if shape.is_solid else {})
     return {
         "position": shape.position,
         "label": shape.label,
         "days": shape.days,
-        "points": packed(shape.points[used]),
-        "atPoints": {name: packed(values[used].astype(float)) for name, values in _shown(shape.at_points)},
-        "surfaces": {
-            name: {
-                "triangles": packed(row[triangles]),
-                "inCells": {key: packed(values[owner].astype(float)) for key, values in _shown(shape.in_cells)},
-            }
-            for name, (triangles, owner) in surfaces.items()
-        },
-        "outline": packed(row[_outline(shape)]) if not shape.is_solid else None,
+        "surfaces": {name: _surface(shape, piece) for name, piece in surfaces.items()},
+        "outline": None if shape.is_solid else packed(np.searchsorted(whole.ends[:, 0], _outline(shape))),
+    }
+
+
+def _whole(shape: Shape) -> Piece:
+    if shape.is_solid:
+        triangles, owner = owned_boundary(shape.cells)
+    else:
+        owner = np.flatnonzero(shape.present)
+        triangles = shape.cells[owner]
+    return clipped(triangles, owner, np.zeros(len(shape.points)))
+
+
+def _cut(shape: Shape, height: np.ndarray) -> Piece:
+    """What is left of a solid on the medial side, with the walls of its cavity and the face of the cut."""
+    rows = np.flatnonzero(shape.present)
+    triangles, owner = owned_boundary(shape.cells[rows])
+    across = np.array([1.0 if height[np.argmax(shape.points[:, 0])] > 0.0 else -1.0, 0.0, 0.0])
+    return clipped(triangles, rows[owner], height).joined(
+        face(shape.cells, shape.present, height, shape.points, across)
+    )
+
+
+def _surface(shape: Shape, piece: Piece) -> dict[str, Any]:
+    return {
+        "points": packed(piece.at(shape.points)),
+        "triangles": packed(piece.triangles),
+        "atPoints": {name: packed(piece.at(values.astype(float))) for name, values in _shown(shape.at_points)},
+        "inCells": {name: packed(values[piece.owner].astype(float)) for name, values in _shown(shape.in_cells)},
     }
 
 
 def _shown(values: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
     return ((name, array) for name, array in values.items() if name not in HIDDEN)
-
-
-def _skin(cells: np.ndarray, chosen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Outer faces of chosen tetrahedra (n, 3), and the tetrahedron of each (n,)."""
-    rows = np.flatnonzero(chosen)
-    triangles, owner = owned_boundary(cells[rows])
-    return triangles, rows[owner]
 
 
 def _outline(shape: Shape) -> np.ndarray:

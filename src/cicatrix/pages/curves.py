@@ -69,6 +69,6 @@ def closing_of(account: Account) -> dict[str, Any] | None:
         "days": days.astype(float),
         "percent": 100.0 * (1.0 - closed),
         "size": size.astype(float),
-        "sizeUnit": words(sizes[0])[1] if sizes else "",
+        "sizeName": sizes[0] if sizes else "",
         "clinic": CLINIC,
     }

@@ -30,7 +30,7 @@ from .writing import copy_assets, write_page
 LETTERS = "ABCDEFGH"  # as many runs as fit side by side
 MARK = "cicatrix-report.txt"  # tells a folder that a report made, which a new one may replace
 FILES = ("history.csv", "outcome.json", MANIFEST)
-MAPS = ("viridis", "cividis", "inferno")  # read by the colour-blind as well
+MAPS = ("viridis", "cividis", "plasma")  # read by the colour-blind as well
 STOPS = 33  # colours of a map that a page is given
 Told = Callable[[str], None]
 

@@ -59,7 +59,7 @@
   }
 
   // src/body.js
-  var MAPS = { displacement: "viridis", shift: "viridis", filled_fraction: "cividis", collagen_fraction: "cividis" };
+  var MAPS = { displacement: "viridis", shift: "viridis", filled_fraction: "cividis", collagen_fraction: "cividis", cells_fraction: "cividis" };
   var PLAIN = [0.86, 0.7, 0.6];
   var TURN = 10;
   var BEFORE = "before surgery";
@@ -109,17 +109,18 @@
     async show({ position, label, at, colour, range, cut, ghost }) {
       const turn = this.turn = (this.turn ?? 0) + 1;
       const shape = this.pick(position, label, at);
-      const surface = shape.surfaces[cut && shape.surfaces.cut ? "cut" : "whole"];
-      const [points, triangles] = [await this.#array(shape.points), await this.#array(surface.triangles)];
-      const [isCell, packed] = colour in surface.inCells ? [true, surface.inCells[colour]] : [false, shape.atPoints[colour]];
+      const surfaceOf = ({ surfaces }) => cut && surfaces.cut || surfaces.whole;
+      const surface = surfaceOf(shape);
+      const [points, triangles] = [await this.#array(surface.points), await this.#array(surface.triangles)];
+      const [isCell, packed] = colour in surface.inCells ? [true, surface.inCells[colour]] : [false, surface.atPoints[colour]];
       const values = packed && await this.#array(packed);
       const old = this.shapes.find((other) => other.position === shape.position && other.label === BEFORE);
       const outline = old?.outline && await this.#array(old.outline);
-      const oldPoints = old && await this.#array(old.points);
-      const oldTriangles = old && await this.#array((cut && old.surfaces.cut ? old.surfaces.cut : old.surfaces.whole).triangles);
+      const oldPoints = old && await this.#array(surfaceOf(old).points);
+      const oldTriangles = old && await this.#array(surfaceOf(old).triangles);
       if (turn !== this.turn) return;
       this.shown = { shape, points, triangles, values, colour, isCell };
-      this.#fill(this.actor, points, { triangles, values, isCell, range, map: MAPS[colour] ?? "inferno" });
+      this.#fill(this.actor, points, { triangles, values, isCell, range, map: MAPS[colour] ?? "plasma" });
       this.ghost.setVisibility(Boolean(ghost && old));
       if (ghost && old) this.#fill(this.ghost, oldPoints, outline ? { lines: outline } : { triangles: oldTriangles });
       if (!this.placed) this.view(this.isSolid ? "front" : "flat");
@@ -167,6 +168,8 @@
       const mapper = this.vtk.Mapper.newInstance();
       const actor = this.vtk.Actor.newInstance();
       actor.setMapper(mapper);
+      actor.getProperty().setAmbient(0.25);
+      actor.getProperty().setDiffuse(0.75);
       return actor;
     }
     #flat() {
@@ -185,6 +188,9 @@
       const data = this.vtk.PolyData.newInstance();
       data.getPoints().setData(points, 3);
       if (triangles) data.getPolys().setData(counted(triangles, 3));
+      if (triangles && this.isSolid) {
+        data.getPointData().setNormals(this.vtk.DataArray.newInstance({ name: "normals", values: normals(points, triangles), numberOfComponents: 3 }));
+      }
       if (lines) data.getLines().setData(counted(lines, 2));
       const mapper = actor.getMapper();
       mapper.setScalarVisibility(Boolean(values));
@@ -274,6 +280,20 @@
     }
     return out;
   }
+  function normals(points, triangles) {
+    const out = new Float32Array(points.length);
+    for (let t = 0; t < triangles.length; t += 3) {
+      const [a, b, c] = [0, 1, 2].map((k) => 3 * triangles[t + k]);
+      const [u, v] = [b, c].map((end) => [0, 1, 2].map((k) => points[end + k] - points[a + k]));
+      const n = [u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]];
+      for (const corner of [a, b, c]) for (let k = 0; k < 3; k++) out[corner + k] += n[k];
+    }
+    for (let p = 0; p < out.length; p += 3) {
+      const size = Math.hypot(out[p], out[p + 1], out[p + 2]) || 1;
+      for (let k = 0; k < 3; k++) out[p + k] /= size;
+    }
+    return out;
+  }
 
   // src/charts.js
   var COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#b59f00"];
@@ -318,7 +338,7 @@
         Plot.dot(clinic, { x: "day", y: "percent", symbol: "times", stroke: "currentColor", r: 5, strokeWidth: 2 }),
         Plot.tip(rows, Plot.pointerX({ x: "day", y: "percent", fill: "var(--paper)" }))
       ]
-    }), ["run", "day", "open_percent", `open_${runs[0].closing.sizeUnit || "size"}`], rows.map((row) => [row.run, row.day, row.percent, row.size]));
+    }), ["run", "day", "open_percent", runs[0].closing.sizeName || "open_size"], rows.map((row) => [row.run, row.day, row.percent, row.size]));
   }
   function drawCurves(runs) {
     const home = document.getElementById("curves");
@@ -354,7 +374,7 @@
       const rows = [];
       const shapes = scene.shapes.filter((shape) => shape.position === position).sort((a, b) => rank(a) - rank(b));
       for (const shape of shapes) {
-        const [points, edges] = [await unpack(shape.points), await unpack(shape.outline)];
+        const [points, edges] = [await unpack(shape.surfaces.whole.points), await unpack(shape.outline)];
         for (let k = 0; k < edges.length; k += 2) {
           const [a, b] = [3 * edges[k], 3 * edges[k + 1]];
           rows.push({ moment: shape.label, x1: points[a], y1: points[a + 1], x2: points[b], y2: points[b + 1] });
