@@ -17,6 +17,7 @@ from .cutting import Piece, clipped, face
 from .packing import packed
 
 MOST_MOMENTS = 12  # per position that a page is given
+CUT_PERCENT = 99.9  # of values that a scale spans, where the highest are far above the others
 PRESENT = 0.5  # an element with less tissue than this share is drawn as a hole
 BEFORE = "before-"
 NAMES = {  # of what a body can be coloured by: what the page says, unit
@@ -219,18 +220,22 @@ def _outline(shape: Shape) -> np.ndarray:
 
 
 def _colours(shapes: list[Shape]) -> list[dict[str, Any]]:
-    """What can be coloured, and from where to where: over all shapes alike, the highest thousandth cut off."""
+    """What can be coloured, and from where to where: over all shapes alike; what points have, by those of the outer surface."""
     found: dict[str, list[np.ndarray]] = {}
     for shape in shapes:
-        for values in (shape.at_points, {k: v[shape.present] for k, v in shape.in_cells.items()}):
-            for name, array in _shown(values):
-                found.setdefault(name, []).append(array)
+        seen = np.unique(owned_boundary(shape.cells)[0]) if shape.is_solid else slice(None)
+        of_points = {name: values[seen] for name, values in shape.at_points.items()}
+        of_cells = {name: values[shape.present] for name, values in shape.in_cells.items()}
+        for name, array in (*_shown(of_points), *_shown(of_cells)):
+            found.setdefault(name, []).append(array)
     colours = []
     for name, arrays in found.items():
         label, unit = NAMES.get(name, _words(name))
-        low, high = np.nanpercentile(np.concatenate(arrays).astype(float), (0.1, 99.9))
-        low = min(0.0, low) if low > 0 else low
-        colours.append({"name": name, "label": label, "unit": unit, "range": [low, max(high, low + 1e-9)]})
+        values = np.concatenate(arrays).astype(float)
+        low, high = np.nanpercentile(values, (0.1, CUT_PERCENT))
+        high = high if np.nanmax(values) > 1.05 * high else np.nanmax(values)
+        limits = [min(0.0, low), max(high, min(0.0, low) + 1e-9)]
+        colours.append({"name": name, "label": label, "unit": unit, "range": limits})
     order = [*NAMES, *sorted(found)]
     return sorted(colours, key=lambda colour: order.index(colour["name"]))
 

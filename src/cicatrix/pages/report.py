@@ -102,9 +102,9 @@ def _write_run(page: Path, account: Account, tell: Told, assets: str = "assets",
     figures = sorted((account.folder / "figures").glob("*.png"))
     for figure in figures:
         shutil.copyfile(figure, page / "figures" / figure.name)
-    for name in FILES:
-        if (account.folder / name).is_file():
-            shutil.copyfile(account.folder / name, page / name)
+    for name in _files(account):
+        (page / name).parent.mkdir(exist_ok=True)
+        shutil.copyfile(account.folder / name, page / name)
     tell("pages and PDF")
     write_pdf(page / "figures.pdf", account, contents.lines)
     common = {**_common(account, contents), "assets": assets, "up": up, "figures": [f.name for f in figures]}
@@ -199,8 +199,14 @@ def _research(account: Account, contents: Contents) -> dict[str, Any]:
         "sources": manifest.get("sources", {}),
         "checks": checks_of(account, contents.shapes),
         "numbers": _numbers(account),
-        "files": [name for name in FILES if (account.folder / name).is_file()],
+        "files": _files(account),
     }
+
+
+def _files(account: Account) -> list[str]:
+    """What the figures are drawn from, relative to the run's folder."""
+    tables = sorted(path.relative_to(account.folder).as_posix() for path in account.folder.glob("tables/*.csv"))
+    return [*(name for name in FILES if (account.folder / name).is_file()), *tables]
 
 
 def _without_defaults(case: dict[str, Any]) -> dict[str, Any]:

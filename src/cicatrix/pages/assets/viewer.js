@@ -229,6 +229,7 @@
       const { shape, values } = this.shown;
       const colour = this.scene.colours.find((entry) => entry.name === name);
       this.figure.querySelector(".where").textContent = `${shape.label}, ${shape.position}`;
+      if (colour) this.figure.querySelector(".high").textContent = `${short(range[1])}${values && greatest(values) > range[1] * 1.001 ? " and more" : ""}`;
       this.figure.querySelector(".unit").textContent = colour ? withUnit(colour.label, colour.unit) : "";
       const instead = shape.label === wanted ? "" : ` There is no ${wanted} in this run; this is ${shape.label}.`;
       const most = colour && values ? ` ${colour.label}: ${short(least(values))} to ${short(greatest(values))} ${colour.unit === "1" ? "" : colour.unit}.` : "";
