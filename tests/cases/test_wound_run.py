@@ -96,7 +96,7 @@ def test_stopped_and_resumed_is_uninterrupted(coarse, tmp_path, monkeypatch):
         cicatrix.simulate(case, tmp_path / "run")
     cicatrix.simulate(case, tmp_path / "run", resume=True)
     assert rows.count(14) == 2
-    for name in ("history.csv", "fields/wound-0002.vtu"):
+    for name in ("history.csv", "outcome.json", "fields/wound-0002.vtu"):
         assert (tmp_path / "run" / name).read_bytes() == (coarse[1] / name).read_bytes()
 
 

@@ -121,11 +121,15 @@ class WoundRun:
     def _save(self, course: Course) -> None:
         """Keep what the next steps depend on; matrices are let go, as they are when a run goes on from here."""
         self.model.solver.forget()
-        self.folder.save_checkpoint(course.taken, course_arrays(course), course_scalars(course))
+        spent = {"factorizations": self.model.solver.factorizations}
+        self.folder.save_checkpoint(course.taken, course_arrays(course), course_scalars(course) | spent)
 
     def _kept(self) -> Course | None:
         kept = self.folder.checkpoint
-        return None if kept is None else course_from(kept.arrays, kept.scalars)
+        if kept is None:
+            return None
+        self.model.solver.factorizations = kept.scalars["factorizations"]
+        return course_from(kept.arrays, kept.scalars)
 
     def _tell(self, course: Course) -> str:
         history = self.folder.history()
@@ -144,7 +148,7 @@ class WoundRun:
             "steps": Quantity(course.taken, "1"),
             "steps_cut": Quantity(course.rejected, "1", "too long for their error, or without a solution"),
             "iterations": Quantity(int(history["newton_iterations"].sum()), "1"),
-            "factorizations": Quantity(self.model.solver.factorizations, "1", "since the run was last started"),
+            "factorizations": Quantity(self.model.solver.factorizations, "1", "of mechanics"),
             "n_dofs": Quantity(self._n_dofs(), "1", "of positions and fields that are free"),
         }
         for where in ("centre", "edge"):
