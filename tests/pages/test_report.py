@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from cicatrix.cli.main import main
 from cicatrix.core.errors import InputError
 from cicatrix.io.images import read_image, read_labels
+from cicatrix.io.results import RunFolder
 from cicatrix.pages.account import read_account
 from cicatrix.pages.bodies import scene, shapes_of
 from cicatrix.pages.checks import checks_of
@@ -54,7 +55,7 @@ def test_equal_arrays_give_equal_bytes():
 @pytest.mark.parametrize(("name", "n_faces"), [("plane", 200), ("solid", 6 * 200)])
 def test_bodies_are_those_of_the_run(runs, name, n_faces):
     account = read_account(runs / name)
-    drawn = scene(shapes_of(account), account.case)
+    drawn = scene(shapes_of(account), account)
     assert [(s["position"], s["label"]) for s in drawn["shapes"]] == [
         (position, label)
         for position in ("upright", "supine")
@@ -75,7 +76,7 @@ def test_bodies_are_those_of_the_run(runs, name, n_faces):
 def test_a_cut_body_shows_the_hole_and_its_walls(runs):
     account = read_account(runs / "solid")
     shapes = {(s.position, s.label): s for s in shapes_of(account)}
-    drawn = {(s["position"], s["label"]): s for s in scene(shapes_of(account), account.case)["shapes"]}
+    drawn = {(s["position"], s["label"]): s for s in scene(shapes_of(account), account)["shapes"]}
     before = shapes["upright", "before surgery"]
     middle = before.points[before.cells[before.cavity]][..., 0].mean()
     areas, volumes = [], []
@@ -106,7 +107,9 @@ def test_numbers_of_the_table_are_those_of_the_run(runs):
     assert lines["Share of the breast"].value == f"{100 * removed / SIDE**3:.1f} %"
     assert lines["Cavity closed after"].value == "40 days"
     assert lines["Change of volume, standing"].value == "-3.2 %"
-    assert lines["Nipple has moved, lying on the back"].sentence.startswith("The nipple ends 4.5 mm")
+    assert lines["Nipple has moved, lying on the back"].sentence == (
+        "Healed, lying on the back, the nipple is 4.5 mm from where it was before surgery."
+    )
 
 
 def test_checks_see_what_is_lost_and_what_is_turned(runs, copy_of):
@@ -330,3 +333,34 @@ def test_files_of_a_report_are_the_runs(runs, tmp_path):
 )
 def test_columns_have_words_and_units(name, label, unit):
     assert words(name) == (label, unit)
+
+
+def test_a_manifest_that_lacks_tables_gives_a_page_all_the_same(copy_of, tmp_path):
+    folder = copy_of("solid")
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    manifest["case"] = {"kind": "lumpectomy"}
+    for key in ("found", "sources", "seconds", "libraries", "notes", "seed"):
+        manifest.pop(key, None)
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    page = write_report(folder, tmp_path / "report").read_text(encoding="utf-8")
+    assert "does not tell where the resection lies" in page
+
+
+def test_an_open_wound_is_not_called_healed(copy_of, tmp_path):
+    folder = copy_of("solid")
+    outcome = json.loads((folder / "outcome.json").read_text(encoding="utf-8"))
+    outcome["time_to_closure_days"]["value"] = None
+    (folder / "outcome.json").write_text(json.dumps(outcome))
+    page = write_report(folder, tmp_path / "report").read_text(encoding="utf-8")
+    assert "At the last visit, the cavity still open, standing, the nipple is 4.5 mm" in page
+    labels = {s["label"] for s in content(tmp_path / "report" / "data" / "body.js")[2]["shapes"]}
+    assert labels == {"before surgery", "after surgery", "week 2", "week 6"}
+
+
+def test_what_a_killed_report_left_is_swept_when_the_run_goes_on(copy_of):
+    folder = copy_of("stopped")
+    (folder / ".partial-report" / "data").mkdir(parents=True)
+    case = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))["case"]
+    with RunFolder.open(folder, case, seed=1, resume=True) as run:
+        assert not (folder / ".partial-report").exists()
+        run.finish("done")

@@ -22,8 +22,8 @@ def holds_something(path: Path) -> bool:
 
 def sweep(path: Path) -> None:
     """Remove what killed writes left behind."""
-    for leftover in path.rglob(TEMPORARY + "*"):
-        leftover.unlink(missing_ok=True)
+    for leftover in list(path.rglob(TEMPORARY + "*")):
+        remove(leftover)
 
 
 def make(path: Path) -> None:

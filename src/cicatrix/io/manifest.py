@@ -66,9 +66,16 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except (ValueError, OSError):
         raise InputError(f"{path} cannot be read as JSON; it is not the manifest of a run") from None
-    if not isinstance(manifest, dict) or not {"program", "case", "inputs", "status"} <= manifest.keys():
+    if not _describes_a_run(manifest):
         raise InputError(f"{path} is not the manifest of a run")
     return manifest
+
+
+def _describes_a_run(manifest: Any) -> bool:
+    parts = ("program", "case", "inputs", "status")
+    if not isinstance(manifest, dict) or not all(isinstance(manifest.get(part), dict) for part in parts):
+        return False
+    return {"state", "sentence"} <= manifest["status"].keys()
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:

@@ -43,6 +43,7 @@ PRODUCTS = (
     "tables",
     "labels.nii.gz",
     "picture.nii.gz",
+    "report",
 )
 
 

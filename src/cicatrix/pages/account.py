@@ -56,6 +56,19 @@ class Account:
         """Kind of the case."""
         return str(self.case.get("kind", "unknown"))
 
+    def asked(self, *keys: str, default: Any = None) -> Any:
+        """A key of the case, through its tables; the default where there is none."""
+        found: Any = self.case
+        for key in keys:
+            found = found.get(key) if isinstance(found, dict) else None
+        return default if found is None else found
+
+    @property
+    def is_closed(self) -> bool:
+        """Whether the run tells when its wound closed."""
+        closure = self.number("time_to_closure_days")
+        return closure is not None and closure.value is not None
+
     @property
     def is_finished(self) -> bool:
         """Whether the run came to its end."""

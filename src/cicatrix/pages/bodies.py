@@ -81,11 +81,11 @@ def shapes_of(account: Account) -> list[Shape]:
     frames = read_series(account.folder / "shapes")
     if frames:
         last = max(frame.cycle for frame in frames)
-        asked = list(account.case.get("outcome", {}).get("positions", ()))
+        asked = account.asked("outcome", "positions", default=[])
         ordered = sorted(_thinned(frames), key=lambda frame: _place(frame, asked))
         return [_read(account.folder / "shapes", frame, *_visit(account, frame, last)) for frame in ordered]
     frames = read_series(account.folder / "fields")
-    where = account.case["coupling"]["healing_position"] if account.kind == "lumpectomy" else "as loaded"
+    where = account.asked("coupling", "healing_position", default="as loaded")
     return [_read(account.folder / "fields", f, where, _moment(account, f)) for f in _thinned(frames)]
 
 
@@ -111,8 +111,7 @@ def _visit(account: Account, frame: Frame, last: int) -> tuple[str, str]:
         return frame.part.removeprefix(BEFORE), "before surgery"
     if frame.cycle == 0:
         return frame.part, "after surgery"
-    closure = account.number("time_to_closure_days")
-    if frame.cycle == last and account.is_finished and closure is not None and closure.value is not None:
+    if frame.cycle == last and account.is_finished and account.is_closed:
         return frame.part, "healed"
     return frame.part, f"week {weeks_from_days(frame.time_days):.3g}"
 
@@ -139,24 +138,24 @@ def _read(folder: Path, frame: Frame, position: str, label: str) -> Shape:
     return Shape(position, label, days, points, renumbered.reshape(-1, corners), at_points, in_cells)
 
 
-def scene(shapes: list[Shape], case: dict[str, Any]) -> dict[str, Any]:
+def scene(shapes: list[Shape], account: Account) -> dict[str, Any]:
     """What a page needs to draw them: triangles, colours per point and per triangle, and the range of each colour."""
     height = _height(shapes[0])
     return {
         "dimension": 3 if shapes[0].is_solid else 2,
-        "isDownward": not shapes[0].is_solid and case.get("image", {}).get("plane") == "axial",
-        "axes": _axes(shapes[0], case),
-        "side": case.get("image", {}).get("side", "left"),
+        "isDownward": not shapes[0].is_solid and account.asked("image", "plane") == "axial",
+        "axes": _axes(shapes[0], account),
+        "side": account.asked("image", "side", default="left"),
         "colours": _colours(shapes),
         "shapes": [_drawn(shape, height) for shape in shapes],
     }
 
 
-def _axes(shape: Shape, case: dict[str, Any]) -> list[str]:
-    if case.get("kind") != "lumpectomy":
+def _axes(shape: Shape, account: Account) -> list[str]:
+    if account.kind != "lumpectomy":
         return ["x", "y", "z"]
     names = ["left", "posterior", "superior"]
-    if shape.is_solid or case.get("image", {}).get("plane") == "axial":
+    if shape.is_solid or account.asked("image", "plane") == "axial":
         return names
     return names[1:] + names[:1]
 

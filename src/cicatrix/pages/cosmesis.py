@@ -88,14 +88,15 @@ def _closure(account: Account) -> Iterator[Line]:
 
 
 def _shape(account: Account) -> Iterator[Line]:
-    for position in account.case.get("outcome", {}).get("positions", []):
+    for position in account.asked("outcome", "positions", default=[]):
         where = POSITIONS.get(position, position)
         found = {name: _value(account, position, name) for name in WORDS}
         for name, value in found.items():
             if value is not None:
                 title, unit, reference, words = WORDS[name]
                 shown = f"{value:+.1f} {unit}" if name.startswith("volume") else f"{value:.1f} {unit}"
-                yield Line(f"{title}, {where}", shown, REFERENCES[reference], words(value, where))
+                when = "Healed" if account.is_closed else "At the last visit, the cavity still open"
+                yield Line(f"{title}, {where}", shown, REFERENCES[reference], words(value, f"{when}, {where}"))
 
 
 def _value(account: Account, position: str, name: str) -> float | None:
@@ -103,17 +104,17 @@ def _value(account: Account, position: str, name: str) -> float | None:
     return None if asked is None or asked.value is None else float(asked.value)
 
 
-def _volume(value: float, where: str) -> str:
+def _volume(value: float, when: str) -> str:
     if abs(value) < 0.5:
-        return f"Healed, {where}, the breast has the volume it had before, within half a percent."
+        return f"{when}, the breast has the volume it had before, within half a percent."
     more = "more" if value > 0 else "less"
-    return f"Healed, {where}, the breast has {abs(value):.1f} % {more} volume than before."
+    return f"{when}, the breast has {abs(value):.1f} % {more} volume than before."
 
 
-def _dent(value: float, where: str) -> str:
+def _dent(value: float, when: str) -> str:
     if value < 0.1:
-        return f"No new dent is seen {where}."
-    return f"The deepest dent has become {value:.1f} mm deeper, {where}."
+        return f"{when}, no dent is seen that was not there before."
+    return f"{when}, the deepest dent is {value:.1f} mm deeper than before."
 
 
 WORDS = {
@@ -122,13 +123,13 @@ WORDS = {
         "Nipple has moved",
         "mm",
         "nipple",
-        lambda v, where: f"The nipple ends {v:.1f} mm from where it was before surgery, {where}.",
+        lambda v, when: f"{when}, the nipple is {v:.1f} mm from where it was before surgery.",
     ),
     "surface_retraction_max_mm": (
         "Skin drawn in, at most",
         "mm",
         "retraction",
-        lambda v, where: f"Where it is worst the skin lies {v:.1f} mm further in than before, {where}.",
+        lambda v, when: f"{when}, the skin lies {v:.1f} mm further in than before where it is worst.",
     ),
     "surface_retraction_rms_mm": (
         "Skin off its old place, in the mean",

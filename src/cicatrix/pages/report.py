@@ -129,7 +129,7 @@ def _write_data(page: Path, account: Account, tell: Told) -> Contents:
         missing.append("There are no bodies yet (shapes, fields), so none is drawn.")
     parts = {
         "slices": slices,
-        "body": scene(shapes, account.case) if shapes else None,
+        "body": scene(shapes, account) if shapes else None,
         "closing": closing_of(account),
         "curves": curves_of(account),
     }

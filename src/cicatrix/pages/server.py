@@ -54,7 +54,7 @@ class Planner:
     def __init__(self, table: PlanningTable, out: Path, site: Path):
         self.table, self.out, self.site = table, out, site
         self.job = Job(out)
-        self._reporting = threading.Lock()
+        self._one_at_a_time = threading.Lock()
         self.acts: dict[str, Callable[[Any], dict[str, Any]]] = {
             "measure": self._measure,
             "save": self._save,
@@ -92,13 +92,15 @@ class Planner:
         return self.table.measured(Wish.of(content))
 
     def _save(self, content: Any) -> dict[str, Any]:
-        path = save_case(self.table, Wish.of(content), self.out)
+        with self._one_at_a_time:
+            path = save_case(self.table, Wish.of(content), self.out)
         return {"case": path.name, "text": path.read_text(encoding="utf-8"), "folder": str(self.out)}
 
     def _start(self, content: Any) -> dict[str, Any]:
-        path = save_case(self.table, Wish.of(content), self.out)
-        if not self.job.start(path):
-            raise InputError("a run is going on; stop it first")
+        with self._one_at_a_time:
+            path = save_case(self.table, Wish.of(content), self.out)
+            if not self.job.start(path):
+                raise InputError("a run is going on; stop it first")
         return {"case": path.name}
 
     def _stop(self, content: Any) -> dict[str, Any]:
@@ -109,7 +111,7 @@ class Planner:
         """Write the report of the last run, as far as it is; where the page finds it."""
         if self.job.out is None or not self.job.out.is_dir():
             raise InputError("there is no run to report on; start one first")
-        with self._reporting:
+        with self._one_at_a_time:
             write_report(self.job.out, self.job.out / "report")
         return {"page": f"report/{self.job.out.name}/index.html"}
 

@@ -26,20 +26,19 @@ def slices_of(account: Account) -> tuple[dict[str, Any] | None, list[str]]:
     shown, missing = _volumes(account.folder)
     if not shown:
         return None, missing
-    found = account.manifest.get("found", {})
-    resection = account.case["resection"]
-    centre = found.get("resection_centre_mm") or resection.get("centre_mm")
-    if centre is None:
+    centre = account.manifest.get("found", {}).get("resection_centre_mm") or account.asked("resection", "centre_mm")
+    radius, margin = (account.asked("resection", f"{name}_mm", default=0.0) for name in ("radius", "margin"))
+    if centre is None or not radius:
         missing.append("The run does not tell where the resection lies, so it is not drawn on the slices.")
     else:
         grid = next(iter(shown.values()))
-        shown["zones"] = zones(grid, np.array(centre, float), resection["radius_mm"], resection["margin_mm"])
+        shown["zones"] = zones(grid, np.array(centre, float), radius, margin)
     return {
         "volumes": {name: encoded(nifti(volume)) for name, volume in shown.items()},
         "labels": [label.name.lower() for label in Label],
         "centre": centre,
-        "radius": resection["radius_mm"],
-        "margin": resection["margin_mm"],
+        "radius": radius,
+        "margin": margin,
         "hasPicture": "picture" in shown,
     }, missing
 
