@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from contextlib import closing
 from http.client import HTTPConnection
 from threading import Thread
 
@@ -152,8 +153,8 @@ def answer(server, path, content=None, *, method=None, host=None, kind="applicat
     for name, value in {**named, **{key.replace("_", "-"): value for key, value in headers.items()}}.items():
         connection.putheader(name, value)
     connection.endheaders(body)
-    found = connection.getresponse()
-    return found.status, found.read(), found.headers
+    with closing(connection), connection.getresponse() as found:
+        return found.status, found.read(), found.headers
 
 
 def test_its_own_page_is_answered(server):
@@ -264,7 +265,7 @@ def test_the_verb_serves_until_it_is_interrupted(tmp_path):
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
     assert process.stdout is not None
     assert process.stdout.readline().startswith("planning page: http://127.0.0.1:")
-    process.send_signal(signal.SIGINT)
+    process.send_signal(signal.SIGTERM)  # which main takes as Ctrl-C; a shell's background job would not hear SIGINT
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "the planning page is closed" in said

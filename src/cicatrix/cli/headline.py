@@ -16,6 +16,7 @@ def print_headline(results: Results) -> None:
         for picture in sorted((results.folder / "figures").glob("*.png")):
             print(f"picture: {picture}")
         print(f"folder:  {results.folder}")
+        print(f"pages:   cicatrix report {results.folder}")
 
 
 def _numbers(results: Results) -> Iterator[str]:

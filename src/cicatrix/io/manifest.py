@@ -80,7 +80,7 @@ def _describes_a_run(manifest: Any) -> bool:
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
     """Name what keeps one run from being the continuation of the other: keys of the case, input bytes, version."""
-    before, after = dict(_flat(old["case"])), dict(_flat(new["case"]))
+    before, after = dict(flat(old["case"])), dict(flat(new["case"]))
     missing = object()
     found = [key for key in {**before, **after} if before.get(key, missing) != after.get(key, missing)]
     for key in {**old["inputs"], **new["inputs"]}:
@@ -111,10 +111,11 @@ def add_seconds(before: Mapping[str, Any], now: Mapping[str, Seconds]) -> dict[s
     return total
 
 
-def _flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys of nested tables with dots between, and their values."""
     for key, value in table.items():
         if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
+            yield from flat(value, f"{prefix}{key}.")
         else:
             yield prefix + key, value
 

@@ -15,7 +15,7 @@ from matplotlib import colormaps
 from .. import __version__
 from ..core.errors import InputError
 from ..io.atomic import TEMPORARY
-from ..io.manifest import MANIFEST
+from ..io.manifest import MANIFEST, flat
 from ..io.toml import toml_text
 from .account import Account, read_account
 from .bodies import Shape, scene, shapes_of
@@ -237,18 +237,10 @@ def _side_by_side(accounts: list[Account]) -> list[tuple[str, str, list[str]]]:
 
 def _differences(accounts: list[Account]) -> list[tuple[str, list[str]]]:
     """Keys of the case in which runs differ, and what each says."""
-    flat = [dict(_flat(account.case)) for account in accounts]
-    keys = list(dict.fromkeys(key for table in flat for key in table))
-    differing = [key for key in keys if len({repr(table.get(key)) for table in flat}) > 1]
-    return [(key, [str(table.get(key, "")) for table in flat]) for key in differing]
-
-
-def _flat(table: dict[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    for key, value in table.items():
-        if isinstance(value, dict):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield prefix + key, value
+    tables = [dict(flat(account.case)) for account in accounts]
+    keys = list(dict.fromkeys(key for table in tables for key in table))
+    differing = [key for key in keys if len({repr(table.get(key)) for table in tables}) > 1]
+    return [(key, [str(table.get(key, "")) for table in tables]) for key in differing]
 
 
 @contextmanager
