@@ -67,7 +67,7 @@ def alone():
 
 @needs_mpi
 @needs_native
-@pytest.mark.parametrize("n", [2, 3, 5])
+@pytest.mark.parametrize("n", [2, 3, pytest.param(5, marks=pytest.mark.slow)])
 def test_any_number_of_ranks_gives_the_same_bits(n, alone):
     """33 cases: masks, several wounds, wounds at the frame, p = 0 and 1, both redistributions, energies per site."""
     told = worker(n, "digests")
