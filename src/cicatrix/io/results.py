@@ -289,6 +289,7 @@ class RunFolder:
     def found(self, **values: Any) -> None:
         """Keep what a case left open and the run has found, under ``found`` in the manifest."""
         self._manifest["found"] = {**self._manifest.get("found", {}), **plain(values)}
+        self._write_manifest()
 
     def finish(self, sentence: str) -> None:
         """Set the sentence that the manifest gives once the block is left without an error."""
