@@ -49,6 +49,7 @@ def case(tmp_path):
     return written
 
 
+@pytest.mark.slow  # compiled three times over
 def test_viscous_tissue_creeps(case, tmp_path):
     """It sags at once, creeps on under the same load, and turns work into heat; the same bytes when it was stopped."""
     path = case(BODY + LAW + HISTORY)

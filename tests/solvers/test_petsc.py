@@ -87,6 +87,7 @@ def test_systems_of_every_kind(n, tmp_path):
 
 
 @needs_petsc
+@pytest.mark.slow
 def test_downhill_on_two_ranks_with_elements_that_are_empty(tmp_path):
     whole = petsc_worker.breast()
     fraction = whole.fraction.copy()
