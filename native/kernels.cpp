@@ -10,6 +10,10 @@
 
 #include "philox.hpp"
 
+// Values of a tile stay in registers only if nothing is called with them.
+#define ALWAYS __attribute__((always_inline))
+#define INLINE inline ALWAYS
+
 namespace cicatrix {
 namespace {
 
@@ -24,56 +28,69 @@ constexpr int kWidth = 16;
 constexpr int kParts = 2 * kLanes / kWidth;
 typedef uint16_t Part __attribute__((vector_size(kWidth)));
 
+// Copied part by part: as an aggregate it would go through memory in pieces of another width, and wait there.
 struct U16 {
     Part part[kParts];
+
+    U16() = default;
+    template <class... Parts, class = std::enable_if_t<sizeof...(Parts) == kParts && (std::is_same_v<Parts, Part> && ...)>>
+    explicit U16(Parts... parts) : part{parts...} {}
+    U16(const U16& other) { *this = other; }
+    U16& operator=(const U16& other) {
+        for (int i = 0; i < kParts; ++i) part[i] = other.part[i];
+        return *this;
+    }
 };
 
 template <class Op>
-inline U16 each(U16 a, U16 b, Op op) {
+INLINE U16 each(U16 a, U16 b, Op op) {
     U16 out;
     for (int i = 0; i < kParts; ++i) out.part[i] = op(a.part[i], b.part[i]);
     return out;
 }
 
-inline U16 operator+(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x + y; }); }
-inline U16 operator-(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x - y; }); }
-inline U16 operator*(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x * y; }); }
-inline U16 operator&(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x & y; }); }
-inline U16 operator|(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x | y; }); }
-inline U16 operator^(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x ^ y; }); }
+INLINE U16 operator+(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x + y; }); }
+INLINE U16 operator-(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x - y; }); }
+INLINE U16 operator*(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x * y; }); }
+INLINE U16 operator&(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x & y; }); }
+INLINE U16 operator|(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x | y; }); }
+INLINE U16 operator^(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x ^ y; }); }
 // all ones in the lanes where it is so
-inline U16 operator>(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return reinterpret_cast<Part>(x > y); }); }
-inline U16 operator==(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return reinterpret_cast<Part>(x == y); }); }
-inline U16 least(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x < y ? x : y; }); }
+INLINE U16 operator>(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return reinterpret_cast<Part>(x > y); }); }
+INLINE U16 operator==(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return reinterpret_cast<Part>(x == y); }); }
+INLINE U16 least(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x < y ? x : y; }); }
 
-inline U16 fill(uint16_t x) {
+INLINE U16 fill(uint16_t x) {
     U16 out;
     for (Part& part : out.part) part = Part{} + x;
     return out;
 }
 
-inline U16 operator~(U16 a) { return a ^ fill(0xFFFF); }
+INLINE U16 operator~(U16 a) { return a ^ fill(0xFFFF); }
 
 template <int n>
-inline U16 shifted_right(U16 a) {
+INLINE U16 shifted_right(U16 a) {
     for (Part& part : a.part) part >>= n;
     return a;
 }
 
-inline U16 load(const uint16_t* p) {
+INLINE U16 load(const uint16_t* p) {
     U16 v;  // part by part: a copy of the whole would go through memory
     for (int i = 0; i < kParts; ++i) std::memcpy(&v.part[i], p + i * (kWidth / 2), sizeof(Part));
     return v;
 }
 
-inline void store(uint16_t* p, U16 v) {
+INLINE void store(uint16_t* p, U16 v) {
     for (int i = 0; i < kParts; ++i) std::memcpy(p + i * (kWidth / 2), &v.part[i], sizeof(Part));
 }
 
-inline bool any(U16 v) {
+INLINE bool any(U16 v) {
 #if defined(__AVX512BW__)
     const __m512i x = reinterpret_cast<__m512i>(v.part[0]);
     return _mm512_test_epi64_mask(x, x) != 0;
+#elif defined(__AVX2__)
+    const __m256i x = reinterpret_cast<__m256i>(v.part[0] | v.part[1]);
+    return !_mm256_testz_si256(x, x);
 #else
     Part all = v.part[0];
     for (int i = 1; i < kParts; ++i) all |= v.part[i];
@@ -88,34 +105,31 @@ inline bool any(U16 v) {
 
 #if defined(__AVX512BW__)
 using Wide = __m512i;
-inline Wide wide(U16 v) { return reinterpret_cast<Wide>(v.part[0]); }
-inline U16 narrow(Wide v) { return {{reinterpret_cast<Part>(v)}}; }
+INLINE Wide wide(U16 v) { return reinterpret_cast<Wide>(v.part[0]); }
+INLINE U16 narrow(Wide v) { return U16(reinterpret_cast<Part>(v)); }
 #endif
 
 // Line i of the answer is line order[i] of eight: 0 .. 3 of `a`, 4 .. 7 of `b`.
 template <int i0, int i1, int i2, int i3>
-inline U16 lines(U16 a, U16 b) {
+INLINE U16 lines(U16 a, U16 b) {
 #if defined(__AVX512BW__)
     const Wide order = _mm512_setr_epi64(2 * i0, 2 * i0 + 1, 2 * i1, 2 * i1 + 1, 2 * i2, 2 * i2 + 1, 2 * i3, 2 * i3 + 1);
     return narrow(_mm512_permutex2var_epi64(wide(a), order, wide(b)));
 #elif defined(__AVX2__)
-    auto line = [&](int i) {
-        const __m256i half = reinterpret_cast<__m256i>((i < 4 ? a : b).part[i % 4 / 2]);
-        return i % 2 ? _mm256_extracti128_si256(half, 1) : _mm256_castsi256_si128(half);
-    };
-    return {{reinterpret_cast<Part>(_mm256_set_m128i(line(i1), line(i0))),
-             reinterpret_cast<Part>(_mm256_set_m128i(line(i3), line(i2)))}};
+    auto half = [&](int i) { return reinterpret_cast<__m256i>((i < 4 ? a : b).part[i % 4 / 2]); };
+    return U16(reinterpret_cast<Part>(_mm256_permute2x128_si256(half(i0), half(i1), i0 % 2 | (2 + i1 % 2) << 4)),
+             reinterpret_cast<Part>(_mm256_permute2x128_si256(half(i2), half(i3), i2 % 2 | (2 + i3 % 2) << 4)));
 #else
     auto line = [&](int i) { return (i < 4 ? a : b).part[i % 4]; };
-    return {{line(i0), line(i1), line(i2), line(i3)}};
+    return U16(line(i0), line(i1), line(i2), line(i3));
 #endif
 }
 
 // The neighbour before, and after, along the last axis.
-inline uint32_t before(uint32_t v, uint32_t left) { return (v << 1 & 0xFEFEFEFEu) | (left >> 7 & 0x01010101u); }
-inline uint32_t after(uint32_t v, uint32_t right) { return (v >> 1 & 0x7F7F7F7Fu) | (right << 7 & 0x80808080u); }
+INLINE uint32_t before(uint32_t v, uint32_t left) { return (v << 1 & 0xFEFEFEFEu) | (left >> 7 & 0x01010101u); }
+INLINE uint32_t after(uint32_t v, uint32_t right) { return (v >> 1 & 0x7F7F7F7Fu) | (right << 7 & 0x80808080u); }
 
-inline U16 before(U16 v, U16 left) {
+INLINE U16 before(U16 v, U16 left) {
 #if defined(__AVX512BW__)
     return narrow(_mm512_alignr_epi8(wide(v), wide(left), 14));
 #elif defined(__AVX2__)
@@ -136,7 +150,7 @@ inline U16 before(U16 v, U16 left) {
 #endif
 }
 
-inline U16 after(U16 v, U16 right) {
+INLINE U16 after(U16 v, U16 right) {
 #if defined(__AVX512BW__)
     return narrow(_mm512_alignr_epi8(wide(right), wide(v), 2));
 #elif defined(__AVX2__)
@@ -159,32 +173,32 @@ inline U16 after(U16 v, U16 right) {
 
 // What lies one site up (+) or down (-) the first and the second axis; `other` is the tile on that side.
 template <int D>
-inline U16 up_first(U16 v, U16 other) {
+INLINE U16 up_first(U16 v, U16 other) {
     return D == 2 ? lines<1, 2, 3, 4>(v, other) : lines<2, 3, 4, 5>(v, other);
 }
 template <int D>
-inline U16 down_first(U16 v, U16 other) {
+INLINE U16 down_first(U16 v, U16 other) {
     return D == 2 ? lines<7, 0, 1, 2>(v, other) : lines<6, 7, 0, 1>(v, other);
 }
-inline U16 up_second(U16 v, U16 other) { return lines<1, 4, 3, 6>(v, other); }
-inline U16 down_second(U16 v, U16 other) { return lines<5, 0, 7, 2>(v, other); }
+INLINE U16 up_second(U16 v, U16 other) { return lines<1, 4, 3, 6>(v, other); }
+INLINE U16 down_second(U16 v, U16 other) { return lines<5, 0, 7, 2>(v, other); }
 
 template <int D>
-inline uint32_t up_first(uint32_t v, uint32_t other) {
+INLINE uint32_t up_first(uint32_t v, uint32_t other) {
     constexpr int n = D == 2 ? 8 : 16;
     return v >> n | other << (32 - n);
 }
 template <int D>
-inline uint32_t down_first(uint32_t v, uint32_t other) {
+INLINE uint32_t down_first(uint32_t v, uint32_t other) {
     constexpr int n = D == 2 ? 8 : 16;
     return v << n | other >> (32 - n);
 }
-inline uint32_t up_second(uint32_t v, uint32_t other) { return (v >> 8 & 0x00FF00FFu) | (other << 8 & 0xFF00FF00u); }
-inline uint32_t down_second(uint32_t v, uint32_t other) { return (v << 8 & 0xFF00FF00u) | (other >> 8 & 0x00FF00FFu); }
+INLINE uint32_t up_second(uint32_t v, uint32_t other) { return (v >> 8 & 0x00FF00FFu) | (other << 8 & 0xFF00FF00u); }
+INLINE uint32_t down_second(uint32_t v, uint32_t other) { return (v << 8 & 0xFF00FF00u) | (other >> 8 & 0x00FF00FFu); }
 
 // Call use(what every lane sees) for each direction, in the order of the specification; at(row, 1) is the tile to the right.
 template <int D, class At, class Use>
-inline void each_neighbour(At&& at, Use&& use) {
+INLINE void each_neighbour(At&& at, Use&& use) {
     const auto here = at(0, 0), left = at(0, -1), right = at(0, 1), above = at(1, 0), below = at(2, 0);
     using T = std::decay_t<decltype(here)>;
     const T back = before(here, left), forth = after(here, right);
@@ -212,14 +226,14 @@ inline void each_neighbour(At&& at, Use&& use) {
 }
 
 template <int D, class Use>
-inline void each_neighbour(int32_t id, Beside beside, const uint32_t* bits, Use&& use) {
-    each_neighbour<D>([=](int row, int right) { return bits[(row ? beside[row][id] : id) + right]; }, use);
+INLINE void each_neighbour(int32_t id, Beside beside, const uint32_t* bits, Use&& use) {
+    each_neighbour<D>([=](int row, int right) ALWAYS { return bits[(row ? beside[row][id] : id) + right]; }, use);
 }
 
 // What all neighbours together give under an operation whose order does not matter. What lies on the same side is joined before
 // it is moved.
 template <int D, class At, class Join>
-inline auto join_neighbours(At&& at, Join&& join) {
+INLINE auto join_neighbours(At&& at, Join&& join) {
     const auto here = at(0, 0), left = at(0, -1), right = at(0, 1), above = at(1, 0), below = at(2, 0);
     using T = std::decay_t<decltype(here)>;
     const T back = before(here, left), forth = after(here, right);
@@ -237,19 +251,33 @@ inline auto join_neighbours(At&& at, Join&& join) {
     return join(all, join(up_first<D>(up, up_other), down_first<D>(down, down_other)));
 }
 
+// The same of those neighbours that lie in the tile itself; `none` is what joining does not change.
 template <int D, class Join>
-inline U16 join_neighbours(int32_t id, Beside beside, const uint16_t* values, Join&& join) {
-    return join_neighbours<D>(
-        [=](int row, int right) { return load(values + kLanes * size_t((row ? beside[row][id] : id) + right)); }, join);
+INLINE U16 join_within(U16 here, U16 none, Join&& join) {
+    const U16 back = before(here, none), forth = after(here, none);
+    U16 up = join(here, back), down = join(here, forth), all = join(forth, back);
+    if constexpr (D == 3) {
+        const U16 higher = up_second(here, none), lower = down_second(here, none);
+        up = join(up, lower), down = join(down, higher);
+        all = join(join(all, join(higher, lower)), join(up_second(back, none), down_second(forth, none)));
+    }
+    return join(all, join(up_first<D>(up, none), down_first<D>(down, none)));
 }
 
 template <int D, class Join>
-inline uint32_t join_neighbours(int32_t id, Beside beside, const uint32_t* bits, Join&& join) {
-    return join_neighbours<D>([=](int row, int right) { return bits[(row ? beside[row][id] : id) + right]; }, join);
+INLINE U16 join_neighbours(int32_t id, Beside beside, const uint16_t* values, Join&& join) {
+    return join_neighbours<D>(
+        [=](int row, int right) ALWAYS { return load(values + kLanes * size_t((row ? beside[row][id] : id) + right)); },
+        join);
+}
+
+template <int D, class Join>
+INLINE uint32_t join_neighbours(int32_t id, Beside beside, const uint32_t* bits, Join&& join) {
+    return join_neighbours<D>([=](int row, int right) ALWAYS { return bits[(row ? beside[row][id] : id) + right]; }, join);
 }
 
 // One 32-bit mask from a comparison of 32 lanes.
-inline uint32_t bits_of(U16 mask) {
+INLINE uint32_t bits_of(U16 mask) {
 #if defined(__AVX512BW__)
     return _mm512_movepi16_mask(reinterpret_cast<__m512i>(mask.part[0]));
 #elif defined(__AVX2__)
@@ -269,9 +297,9 @@ inline uint32_t bits_of(U16 mask) {
 }
 
 // All ones in the lanes whose bit is set.
-inline U16 lanes_of(uint32_t bits) {
+INLINE U16 lanes_of(uint32_t bits) {
 #if defined(__AVX512BW__)
-    return {{reinterpret_cast<Part>(_mm512_movm_epi16(bits))}};
+    return U16(reinterpret_cast<Part>(_mm512_movm_epi16(bits)));
 #else
     const uint16_t bit[16] = {1, 2, 4, 8, 16, 32, 64, 128, 256, 512, 1024, 2048, 4096, 8192, 16384, 32768};
     U16 which;
@@ -288,15 +316,15 @@ inline U16 lanes_of(uint32_t bits) {
 #if defined(__AVX512F__)
 using Lanes = __m512i;
 constexpr int kCalls = 8;
-inline Lanes load_calls(const uint64_t* p) {
+INLINE Lanes load_calls(const uint64_t* p) {
     return _mm512_permutexvar_epi64(_mm512_setr_epi64(0, 4, 1, 5, 2, 6, 3, 7), _mm512_loadu_si512(p));
 }
-inline Lanes plus(Lanes a, uint64_t x) { return _mm512_add_epi64(a, _mm512_set1_epi64(static_cast<long long>(x))); }
-inline Lanes all(uint32_t x) { return _mm512_set1_epi64(x); }
-inline Lanes times(Lanes a, Lanes b) { return _mm512_mul_epu32(a, b); }
-inline Lanes high(Lanes a) { return _mm512_srli_epi64(a, 32); }
-inline Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm512_ternarylogic_epi64(a, b, c, 0x96); }
-inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
+INLINE Lanes plus(Lanes a, uint64_t x) { return _mm512_add_epi64(a, _mm512_set1_epi64(static_cast<long long>(x))); }
+INLINE Lanes all(uint32_t x) { return _mm512_set1_epi64(x); }
+INLINE Lanes times(Lanes a, Lanes b) { return _mm512_mul_epu32(a, b); }
+INLINE Lanes high(Lanes a) { return _mm512_srli_epi64(a, 32); }
+INLINE Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm512_ternarylogic_epi64(a, b, c, 0x96); }
+INLINE void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
     const Lanes ab = _mm512_mask_blend_epi32(0xAAAA, a, _mm512_slli_epi64(b, 32));
     const Lanes cd = _mm512_mask_blend_epi32(0xAAAA, c, _mm512_slli_epi64(d, 32));
     _mm512_storeu_si512(out, _mm512_unpacklo_epi64(ab, cd));
@@ -305,15 +333,15 @@ inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
 #elif defined(__AVX2__)
 using Lanes = __m256i;
 constexpr int kCalls = 4;
-inline Lanes load_calls(const uint64_t* p) {
+INLINE Lanes load_calls(const uint64_t* p) {
     return _mm256_permute4x64_epi64(_mm256_loadu_si256(reinterpret_cast<const Lanes*>(p)), 0xD8);
 }
-inline Lanes plus(Lanes a, uint64_t x) { return _mm256_add_epi64(a, _mm256_set1_epi64x(static_cast<long long>(x))); }
-inline Lanes all(uint32_t x) { return _mm256_set1_epi64x(x); }
-inline Lanes times(Lanes a, Lanes b) { return _mm256_mul_epu32(a, b); }
-inline Lanes high(Lanes a) { return _mm256_srli_epi64(a, 32); }
-inline Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm256_xor_si256(_mm256_xor_si256(a, b), c); }
-inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
+INLINE Lanes plus(Lanes a, uint64_t x) { return _mm256_add_epi64(a, _mm256_set1_epi64x(static_cast<long long>(x))); }
+INLINE Lanes all(uint32_t x) { return _mm256_set1_epi64x(x); }
+INLINE Lanes times(Lanes a, Lanes b) { return _mm256_mul_epu32(a, b); }
+INLINE Lanes high(Lanes a) { return _mm256_srli_epi64(a, 32); }
+INLINE Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm256_xor_si256(_mm256_xor_si256(a, b), c); }
+INLINE void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
     const Lanes ab = _mm256_blend_epi32(a, _mm256_slli_epi64(b, 32), 0xAA);
     const Lanes cd = _mm256_blend_epi32(c, _mm256_slli_epi64(d, 32), 0xAA);
     _mm256_storeu_si256(reinterpret_cast<Lanes*>(out), _mm256_unpacklo_epi64(ab, cd));
@@ -322,13 +350,13 @@ inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
 #elif defined(__SSE2__)
 using Lanes = __m128i;
 constexpr int kCalls = 2;
-inline Lanes load_calls(const uint64_t* p) { return _mm_loadu_si128(reinterpret_cast<const Lanes*>(p)); }
-inline Lanes plus(Lanes a, uint64_t x) { return _mm_add_epi64(a, _mm_set1_epi64x(static_cast<long long>(x))); }
-inline Lanes all(uint32_t x) { return _mm_set1_epi64x(x); }
-inline Lanes times(Lanes a, Lanes b) { return _mm_mul_epu32(a, b); }
-inline Lanes high(Lanes a) { return _mm_srli_epi64(a, 32); }
-inline Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm_xor_si128(_mm_xor_si128(a, b), c); }
-inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
+INLINE Lanes load_calls(const uint64_t* p) { return _mm_loadu_si128(reinterpret_cast<const Lanes*>(p)); }
+INLINE Lanes plus(Lanes a, uint64_t x) { return _mm_add_epi64(a, _mm_set1_epi64x(static_cast<long long>(x))); }
+INLINE Lanes all(uint32_t x) { return _mm_set1_epi64x(x); }
+INLINE Lanes times(Lanes a, Lanes b) { return _mm_mul_epu32(a, b); }
+INLINE Lanes high(Lanes a) { return _mm_srli_epi64(a, 32); }
+INLINE Lanes mix(Lanes a, Lanes b, Lanes c) { return _mm_xor_si128(_mm_xor_si128(a, b), c); }
+INLINE void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
     const Lanes low = _mm_set1_epi64x(0xFFFFFFFF);
     const Lanes ab = _mm_or_si128(_mm_and_si128(a, low), _mm_slli_epi64(b, 32));
     const Lanes cd = _mm_or_si128(_mm_and_si128(c, low), _mm_slli_epi64(d, 32));
@@ -338,11 +366,11 @@ inline void store_calls(Lanes a, Lanes b, Lanes c, Lanes d, uint32_t* out) {
 #else
 using Lanes = uint64_t;
 constexpr int kCalls = 1;
-inline Lanes load_calls(const uint64_t* p) { return *p; }
-inline Lanes plus(Lanes a, uint64_t x) { return a + x; }
+INLINE Lanes load_calls(const uint64_t* p) { return *p; }
+INLINE Lanes plus(Lanes a, uint64_t x) { return a + x; }
 #endif
 
-inline void calls(Lanes c0, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
+INLINE void calls(Lanes c0, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
 #if defined(__SSE2__)
     Lanes c1 = high(c0), c2 = all(step), c3 = all(phase);
     const Lanes m0 = all(kPhiloxM0), m1 = all(kPhiloxM1);
@@ -382,11 +410,15 @@ class TileWords {
         for (int i = 0; i < kTileCalls; i += kCalls) group_[i / kCalls] = load_calls(group + i);
     }
 
-    void get(int32_t id, uint32_t* words) const {
+    // Those of other sites than `meant` may be left out.
+    void get(int32_t id, uint32_t meant, uint32_t* words) const {
         const int64_t first = draw_.first_site[id];
         if (!lines_aligned_ || (first & 3)) return get_unaligned(first, words);
+        constexpr uint32_t of_calls = static_cast<uint32_t>((uint64_t{1} << 4 * kCalls) - 1);
         for (int i = 0; i < kTileCalls; i += kCalls)
-            calls(plus(group_[i / kCalls], static_cast<uint64_t>(first >> 2)), draw_.step, draw_.phase, draw_.key, words + 4 * i);
+            if (meant >> 4 * i & of_calls)
+                calls(plus(group_[i / kCalls], static_cast<uint64_t>(first >> 2)), draw_.step, draw_.phase, draw_.key,
+                      words + 4 * i);
     }
 
    private:
@@ -409,7 +441,7 @@ class TileWords {
 };
 
 // Bit j: word j is below the bound.
-inline uint32_t bits_below(const uint32_t* word, uint32_t bound) {
+INLINE uint32_t bits_below(const uint32_t* word, uint32_t bound) {
 #if defined(__AVX512BW__)
     const __m512i limit = _mm512_set1_epi32(static_cast<int>(bound));
     const uint32_t low = _mm512_cmplt_epu32_mask(_mm512_loadu_si512(word), limit);
@@ -422,7 +454,7 @@ inline uint32_t bits_below(const uint32_t* word, uint32_t bound) {
 }
 
 // floor(word n / 2^32) for 32 words, in two halves of a word, each of which fits into 32 bits with n.
-inline U16 scaled(const uint32_t* word, uint32_t n) {
+INLINE U16 scaled(const uint32_t* word, uint32_t n) {
 #if defined(__AVX512BW__)
     const __m512i factor = _mm512_set1_epi32(static_cast<int>(n));
     __m256i half[2];
@@ -432,7 +464,7 @@ inline U16 scaled(const uint32_t* word, uint32_t n) {
         const __m512i high = _mm512_mullo_epi32(_mm512_srli_epi32(w, 16), factor);
         half[i] = _mm512_cvtepi32_epi16(_mm512_srli_epi32(_mm512_add_epi32(high, _mm512_srli_epi32(low, 16)), 16));
     }
-    return {{reinterpret_cast<Part>(_mm512_inserti64x4(_mm512_castsi256_si512(half[0]), half[1], 1))}};
+    return U16(reinterpret_cast<Part>(_mm512_inserti64x4(_mm512_castsi256_si512(half[0]), half[1], 1)));
 #else
     uint16_t value[kLanes];
     for (int j = 0; j < kLanes; ++j)
@@ -447,8 +479,8 @@ void draw(Ids ids, Draw draw, const uint32_t* mask, uint64_t limit, uint32_t* hi
     const uint32_t bound = static_cast<uint32_t>(limit);
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        uint32_t word[kLanes];
-        tile_words.get(id, word);
+        uint32_t word[kLanes] = {};
+        tile_words.get(id, mask[id], word);
         hit[id] = (always ? ~0u : bits_below(word, bound)) & mask[id];
     }
 }
@@ -457,8 +489,8 @@ void random_values(Ids ids, Draw draw, const uint32_t* mask, uint16_t base, uint
     const TileWords tile_words(draw);
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
-        uint32_t word[kLanes];
-        tile_words.get(id, word);
+        uint32_t word[kLanes] = {};
+        tile_words.get(id, mask[id], word);
         const U16 meant = lanes_of(mask[id]), value = scaled(word, n) + fill(base);
         uint16_t* here = out + kLanes * size_t(id);
         store(here, (meant & value) | (~meant & load(here)));
@@ -483,7 +515,7 @@ void compare(Ids ids, const uint16_t* u, uint16_t level, uint32_t* above, uint32
     }
 }
 
-inline uint32_t popcount(uint32_t x) {
+INLINE uint32_t popcount(uint32_t x) {
 #if defined(__POPCNT__)
     return static_cast<uint32_t>(__builtin_popcount(x));
 #else
@@ -519,7 +551,7 @@ void diffuse(Ids ids, Beside beside, const uint8_t* plain, const uint16_t* own, 
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         const U16 here = load(u + kLanes * size_t(id));
-        const U16 total = join_neighbours<D>(id, beside, u, [](U16 a, U16 b) { return a + b; });
+        const U16 total = join_neighbours<D>(id, beside, u, [](U16 a, U16 b) ALWAYS { return a + b; });
         U16 next;
         if (plain[id])
             next = shifted_right<G::shift>(total + here * fill(G::own) + half);
@@ -537,7 +569,7 @@ void start(Ids ids, Beside beside, const uint8_t* plain, const uint16_t* own, co
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         U16 n = fill(0);
-        each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { n = n - lanes_of(seen); });
+        each_neighbour<D>(id, beside, bits, [&](uint32_t seen) ALWAYS { n = n - lanes_of(seen); });
         const U16 weight = plain[id] ? fill(G::own) : load(own + kLanes * size_t(id));
         n = n + (lanes_of(bits[id]) & weight);
         const U16 next = shifted_right<G::shift>(n * fill(G::bulk) + half);
@@ -552,13 +584,13 @@ void weigh(Ids ids, Beside beside, const uint8_t* plain, const uint32_t* fillabl
         const int32_t id = ids.first[i];
         if (plain[id]) continue;
         U16 weight = fill(G::own);
-        each_neighbour<D>(id, beside, fillable, [&](uint32_t seen) { weight = weight - lanes_of(~seen); });
+        each_neighbour<D>(id, beside, fillable, [&](uint32_t seen) ALWAYS { weight = weight - lanes_of(~seen); });
         store(own + kLanes * size_t(id), weight);
     }
 }
 
-inline uint32_t either(uint32_t a, uint32_t b) { return a | b; }
-inline uint32_t both(uint32_t a, uint32_t b) { return a & b; }
+INLINE uint32_t either(uint32_t a, uint32_t b) { return a | b; }
+INLINE uint32_t both(uint32_t a, uint32_t b) { return a & b; }
 
 template <int D>
 void touching(Ids ids, Beside beside, const uint32_t* mask, const uint32_t* bits, uint32_t* out) {
@@ -582,7 +614,7 @@ void price(Ids ids, Beside beside, const uint32_t* bits, const uint32_t* mask, u
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         U16 n_near = fill(0);
-        each_neighbour<D>(id, beside, bits, [&](uint32_t seen) { n_near = n_near - lanes_of(seen); });
+        each_neighbour<D>(id, beside, bits, [&](uint32_t seen) ALWAYS { n_near = n_near - lanes_of(seen); });
         const U16 is_meant = lanes_of(mask[id]);
         uint16_t* here = d + kLanes * size_t(id);
         const U16 value = n_near * fill(unit) + load(extra + kLanes * size_t(id)) - fill(kNoPath);
@@ -606,10 +638,13 @@ bool relax_tile(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, ui
     for (int k = 0; k < Geometry<D>::rows; ++k)
         for (int right = -1; right <= 1; ++right)
             around[k][right + 1] = load(d + kLanes * size_t((k ? beside[k][id] : id) + right));
-    U16& here = around[0][1];
+    const U16 far = fill(kFar);
+    const U16 outside = join_neighbours<D>(
+        [&](int row, int right) ALWAYS { return row || right ? around[row][right + 1] : far; }, least);
+    U16 here = first;
     while (true) {  // within the tile until it stands
-        const U16 best = join_neighbours<D>([&](int row, int right) { return around[row][right + 1]; }, least);
-        const U16 next = least(here, least(best, most) + own);
+        const U16 inside = join_within<D>(here, far, least);
+        const U16 next = least(here, least(least(inside, outside), most) + own);
         if (!any(next ^ here)) break;
         here = next;
     }

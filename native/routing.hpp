@@ -41,21 +41,21 @@ class Routing {
     }
 
     int64_t bytes() const {
-        return static_cast<int64_t>(2 * (cost_.capacity() + distance_.capacity()) + 4 * stamp_.capacity() + dirty_.capacity());
+        return static_cast<int64_t>(2 * (cost_.capacity() + distance_.capacity()) + dirty_.capacity());
     }
 
    private:
     uint16_t* cost() { return cost_.data() + kLanes; }
+    const uint16_t* cost() const { return cost_.data() + kLanes; }
     uint16_t* distance() { return distance_.data() + kLanes; }
 
     // Costs of the layer, prices of the empty sites beside it.
     void open_paths() {
         const size_t n = kLanes * (s_.band.size() + 2);
-        cost_.resize(n), distance_.resize(n), stamp_.resize(n, 0);
-        s_.ranges(s_.band.size(), [&](int, size_t first, size_t last) {
-            std::fill(cost() + kLanes * first, cost() + kLanes * last, kFar);
-            std::fill(distance() + kLanes * first, distance() + kLanes * last, kFar);
-        });
+        for (int32_t id : written_)
+            for (Values* values : {&cost_, &distance_}) std::fill_n(values->begin() + kLanes * (size_t(id) + 1), kLanes, kFar);
+        if (cost_.size() < n) cost_.resize(n, kFar), distance_.resize(n, kFar);
+        written_ = layer_.tiles;
         s_.pieces(layer_.tiles, [&](int, Ids ids) {
             s_.kernels.random_values(ids, s_.random(kPathCost), layer_.bits(), kHopCost, s_.rules.path_noise + 1, cost());
         });
@@ -63,6 +63,7 @@ class Routing {
         s_.collect(s_.band.active, shore_, [&](int32_t id, std::vector<int32_t>& found) {
             if (s_.scratch()[id]) found.push_back(id);
         });
+        written_.insert(written_.end(), shore_.begin(), shore_.end());
         s_.work.shore_sites = s_.count_bits(shore_, s_.scratch());
         s_.pieces(shore_, [&](int, Ids ids) {
             s_.kernels.random_values(ids, s_.random(kSettle), s_.free(), kNoPath, kUnit, cost());
@@ -83,27 +84,23 @@ class Routing {
         std::vector<Site> tokens(parents), unsure;
         for (Site site : tokens)
             if (s_.is_shared && distance()[site] >= exact) unsure.push_back(site);
-        s_.ranges(tokens.size(), [&](int, size_t first, size_t last) {
+        s_.ranges(tokens.size(), kTilesPerToken, [&](int, size_t first, size_t last) {
             for (size_t i = first; i < last; ++i) tokens[i] = distance()[tokens[i]] < exact ? descend(tokens[i]) : s_.kNowhere;
         });
         tokens.erase(std::remove(tokens.begin(), tokens.end(), s_.kNowhere), tokens.end());
-        s_.pieces(layer_.tiles, [&](int, Ids ids) { clear(ids, distance()); });
         for (Site site : walk(unsure)) tokens.push_back(site);
         return tokens;
-    }
-
-    static void clear(Ids ids, uint16_t* values) {
-        for (size_t i = 0; i < ids.count; ++i) std::fill_n(values + kLanes * size_t(ids.first[i]), kLanes, kFar);
     }
 
     static constexpr uint16_t kUnit = kSettleCost / G::directions;
 
     // The fewer cells beside an empty site, the dearer it is to settle there.
-    void price(Site site) {
-        if (cost()[site] == kFar) cost()[site] = static_cast<uint16_t>(kNoPath + below(s_.word_at(site, kSettle), kUnit));
+    uint32_t price(Site site) const {
+        const uint16_t known = cost()[site];
+        const uint32_t extra = known == kFar ? below(s_.word_at(site, kSettle), kUnit) : known - kNoPath;
         uint32_t n_free = 0;
         for (Site other : s_.around(site)) n_free += s_.has(s_.free(), other);
-        distance()[site] = static_cast<uint16_t>(kUnit * n_free + cost()[site] - kNoPath);
+        return kUnit * n_free + extra;
     }
 
     // Solve d = cost + least neighbour in the layer. Pieces are slabs of two planes or more, so that every other one can be
@@ -160,76 +157,144 @@ class Routing {
     void settle(Site site) {
         s_.settle_at(site);
         n_settled_ += s_.is_own(site);
+        written_.push_back(static_cast<int32_t>(site >> 5));
         cost()[site] = static_cast<uint16_t>(kHopCost + below(s_.word_at(site, kPathCost), s_.rules.path_noise + 1));
-        distance()[site] = kFar;
     }
 
-    // Move tokens to free sites, those without a path are dropped. The field is solved near the tokens only: a path that
-    // leaves `reach` hops costs at least 64 (reach + 1), so smaller distances are exact; for the others it is doubled.
-    std::vector<Site> walk(std::vector<Site> tokens) {
-        std::vector<Site> done;
-        for (int64_t reach = 2; !tokens.empty(); reach *= 2) {
-            if (s_.is_shared && reach + 2 > s_.sight) throw TooNarrow();
-            const bool is_all = find_near(tokens, reach);
-            solve_near();
-            const uint64_t exact = is_all ? uint64_t{kFar} : std::min<uint64_t>(kFar, kHopCost * (reach + 1));
-            std::vector<Site> far;
-            for (Site site : tokens) {
-                if (distance()[site] < exact)
-                    done.push_back(descend(site));
-                else if (!is_all)
-                    far.push_back(site);
-            }
-            for (Site site : near_) distance()[site] = kFar;
-            tokens = std::move(far);
-        }
+    // Move tokens to free sites, those without a path are dropped.
+    std::vector<Site> walk(const std::vector<Site>& tokens) {
+        std::vector<Site> done(tokens.size());
+        s_.ranges(tokens.size(), kTilesPerToken, [&](int, size_t first, size_t last) {
+            Search search(*this);
+            for (size_t i = first; i < last; ++i)
+                done[i] = i > first && tokens[i] == tokens[i - 1] ? done[i - 1] : search.nearest(tokens[i]);
+        });
+        done.erase(std::remove(done.begin(), done.end(), s_.kNowhere), done.end());
         return done;
     }
 
-    bool find_near(const std::vector<Site>& tokens, int64_t reach) {
-        ++generation_;
-        near_.clear();
-        auto add = [&](Site site) {
-            if (stamp()[site] != generation_) stamp()[site] = generation_, near_.push_back(site);
+    // Where one token goes, without the field: Dijkstra's search from its site outwards. Ends where descending would.
+    class Search {
+       public:
+        explicit Search(Routing& routing) : r_(routing), table_(256) {}
+
+        Site nearest(Site start) {
+            begin(start);
+            const uint32_t longest = kFar - r_.cost()[start];  // sums from here on are no path
+            uint32_t least = longest;  // of the ways to free sites
+            for (size_t n = 0; !heap_.empty() && heap_.front().length <= least && heap_.front().length < longest; ++n) {
+                std::pop_heap(heap_.begin(), heap_.end());
+                const Reached here = heap_.back();
+                heap_.pop_back();
+                if (find(here.site).length != here.length) continue;
+                passed_.push_back(here.site);
+                look_around(here, least);
+            }
+            return least < longest ? follow(start, least) : kNowhere;
+        }
+
+       private:
+        struct Reached {
+            uint32_t length;
+            Site site;
+            uint32_t hops;
+            bool operator<(const Reached& other) const { return length > other.length; }  // the heap's top is the nearest
         };
-        for (Site site : tokens) add(site);
-        size_t ring = 0;
-        for (int64_t hop = 1; hop < reach && ring < near_.size(); ++hop) {
-            const size_t last = near_.size();
-            for (; ring < last; ++ring) {
-                for (Site other : s_.around(near_[ring]))
-                    if (cost()[other] < kNoPath) add(other);
+        struct Entry {
+            Site site = kNowhere;
+            uint32_t length = 0, round = 0;
+            Site next = kNowhere;  // on a shortest way
+        };
+
+        void begin(Site start) {
+            ++round_, n_entries_ = 0;
+            heap_.clear(), passed_.clear();
+            find(start).length = 0;
+            heap_.push_back({0, start, 0});
+        }
+
+        void look_around(const Reached& here, uint32_t& least) {
+            if (r_.s_.is_shared && here.hops + 3 > static_cast<uint64_t>(r_.s_.sight)) throw TooNarrow();
+            for (Site other : r_.s_.around(here.site)) {
+                const bool is_free = r_.s_.has(r_.s_.free(), other);
+                if (!is_free && r_.cost()[other] >= kNoPath) continue;
+                const uint32_t length = here.length + (is_free ? r_.price(other) : r_.cost()[other]);
+                if (length > least) continue;
+                Entry& entry = find(other);
+                if (length >= entry.length) continue;
+                entry.length = length;
+                if (is_free)
+                    least = length;
+                else
+                    heap_.push_back({length, other, here.hops + 1}), std::push_heap(heap_.begin(), heap_.end());
             }
         }
-        return ring == near_.size();
-    }
 
-    void solve_near() {
-        for (Site site : near_)
-            for (Site other : s_.around(site))
-                if (s_.has(s_.free(), other)) price(other);
-        for (bool changed = true; changed;) {
-            changed = false;
-            for (size_t i = near_.size(); i-- > 0;) {
-                const Site site = near_[i];
-                uint32_t best = kFar;
-                for (Site other : s_.around(site)) best = std::min<uint32_t>(best, distance()[other]);
-                best += cost()[site];
-                if (best < distance()[site]) distance()[site] = static_cast<uint16_t>(best), changed = true;
+        // Among the shortest ways the one that goes in the first direction at every site.
+        Site follow(Site start, uint32_t least) {
+            for (size_t i = passed_.size(); i-- > 0;) {
+                const uint32_t length = find(passed_[i]).length;
+                Site next = kNowhere;
+                for (Site other : r_.s_.around(passed_[i])) {
+                    const Entry* there = look(other);
+                    if (!there) continue;
+                    const bool is_free = r_.s_.has(r_.s_.free(), other);
+                    if (is_free ? there->length == least && length + r_.price(other) == least
+                                : there->next != kNowhere && length + r_.cost()[other] == there->length) {
+                        next = other;
+                        break;
+                    }
+                }
+                find(passed_[i]).next = next;
+            }
+            Site site = start;
+            while (!r_.s_.has(r_.s_.free(), site)) site = find(site).next;
+            return site;
+        }
+
+        const Entry* look(Site site) const {
+            for (size_t i = place(site);; i = (i + 1) & (table_.size() - 1)) {
+                if (table_[i].round != round_) return nullptr;
+                if (table_[i].site == site) return &table_[i];
             }
         }
-    }
 
-    uint32_t* stamp() { return stamp_.data() + kLanes; }
+        // The entry of a site; a new one is infinitely far.
+        Entry& find(Site site) {
+            if (2 * n_entries_ > table_.size()) grow();
+            for (size_t i = place(site);; i = (i + 1) & (table_.size() - 1)) {
+                if (table_[i].round == round_ && table_[i].site != site) continue;
+                if (table_[i].round != round_) table_[i] = {site, ~uint32_t{0}, round_, kNowhere}, ++n_entries_;
+                return table_[i];
+            }
+        }
+
+        void grow() {
+            std::vector<Entry> old(2 * table_.size());
+            old.swap(table_);
+            n_entries_ = 0;
+            for (const Entry& entry : old)
+                if (entry.round == round_) find(entry.site) = entry;
+        }
+
+        size_t place(Site site) const { return (site * 0x9E3779B1u >> 7) & (table_.size() - 1); }
+
+        Routing& r_;
+        std::vector<Entry> table_;
+        std::vector<Reached> heap_;
+        std::vector<Site> passed_;
+        size_t n_entries_ = 0;
+        uint32_t round_ = 0;
+    };
+
+    static constexpr Site kNowhere = Stage<D>::kNowhere;
+    static constexpr size_t kTilesPerToken = 16;  // of work, about
 
     Stage<D>& s_;
     Layer& layer_;
     Values cost_, distance_;
     std::vector<uint8_t> dirty_;
-    std::vector<uint32_t> stamp_;
-    uint32_t generation_ = 0;
-    std::vector<int32_t> shore_;
-    std::vector<Site> near_;
+    std::vector<int32_t> shore_, written_;  // tiles; costs and distances of those that are not written are kFar
     int64_t n_settled_ = 0;
 };
 

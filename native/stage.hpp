@@ -192,7 +192,13 @@ class Stage {
     // Share out 0 .. n - 1: job(piece number, first, last).
     template <class Job>
     void ranges(size_t n, Job&& job) {
-        const int used = pool.pieces(n);
+        ranges(n, 1, job);
+    }
+
+    // Each as much work as so many tiles.
+    template <class Job>
+    void ranges(size_t n, size_t weight, Job&& job) {
+        const int used = pool.pieces(weight * n);
         pool.each(used, [&](int i) { job(i, n * i / used, n * (i + 1) / used); });
     }
 
