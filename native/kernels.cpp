@@ -370,27 +370,38 @@ INLINE Lanes load_calls(const uint64_t* p) { return *p; }
 INLINE Lanes plus(Lanes a, uint64_t x) { return a + x; }
 #endif
 
-INLINE void calls(Lanes c0, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
+// The words of n groups of calls, side by side: one would wait for its own multiplications.
+template <int n>
+INLINE void calls(const Lanes* group, uint64_t first, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
 #if defined(__SSE2__)
-    Lanes c1 = high(c0), c2 = all(step), c3 = all(phase);
+    Lanes c0[n], c1[n], c2[n], c3[n];
+    for (int i = 0; i < n; ++i) c0[i] = plus(group[i], first), c1[i] = high(c0[i]), c2[i] = all(step), c3[i] = all(phase);
     const Lanes m0 = all(kPhiloxM0), m1 = all(kPhiloxM1);
     uint32_t k0 = key[0], k1 = key[1];
     for (int round = 0; round < 10; ++round, k0 += kPhiloxW0, k1 += kPhiloxW1) {
-        const Lanes p0 = times(c0, m0), p1 = times(c2, m1);
-        c0 = mix(high(p1), c1, all(k0));
-        c1 = p1;
-        c2 = mix(high(p0), c3, all(k1));
-        c3 = p0;
+        const Lanes key0 = all(k0), key1 = all(k1);
+        for (int i = 0; i < n; ++i) {
+            const Lanes p0 = times(c0[i], m0), p1 = times(c2[i], m1);
+            c0[i] = mix(high(p1), c1[i], key0);
+            c1[i] = p1;
+            c2[i] = mix(high(p0), c3[i], key1);
+            c3[i] = p0;
+        }
     }
-    store_calls(c0, c1, c2, c3, out);
+    for (int i = 0; i < n; ++i) store_calls(c0[i], c1[i], c2[i], c3[i], out + 4 * kCalls * i);
 #else
-    philox_block(static_cast<uint32_t>(c0), static_cast<uint32_t>(c0 >> 32), step, phase, key[0], key[1], out);
+    for (int i = 0; i < n; ++i)
+        philox_block(static_cast<uint32_t>(group[i] + first), static_cast<uint32_t>((group[i] + first) >> 32), step, phase,
+                     key[0], key[1], out + 4 * i);
 #endif
 }
 
 void philox(const uint64_t* group, size_t n, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
     size_t i = 0;
-    for (; i + kCalls <= n; i += kCalls) calls(load_calls(group + i), step, phase, key, out + 4 * i);
+    for (; i + 2 * kCalls <= n; i += 2 * kCalls) {
+        const Lanes two[2] = {load_calls(group + i), load_calls(group + i + kCalls)};
+        calls<2>(two, 0, step, phase, key, out + 4 * i);
+    }
     for (; i < n; ++i)
         philox_block(static_cast<uint32_t>(group[i]), static_cast<uint32_t>(group[i] >> 32), step, phase, key[0], key[1],
                      out + 4 * i);
@@ -414,15 +425,19 @@ class TileWords {
     void get(int32_t id, uint32_t meant, uint32_t* words) const {
         const int64_t first = draw_.first_site[id];
         if (!lines_aligned_ || (first & 3)) return get_unaligned(first, words);
-        constexpr uint32_t of_calls = static_cast<uint32_t>((uint64_t{1} << 4 * kCalls) - 1);
-        for (int i = 0; i < kTileCalls; i += kCalls)
-            if (meant >> 4 * i & of_calls)
-                calls(plus(group_[i / kCalls], static_cast<uint64_t>(first >> 2)), draw_.step, draw_.phase, draw_.key,
-                      words + 4 * i);
+        for (int i = 0; i < kTileCalls; i += kPair * kCalls) {
+            const uint32_t here = meant >> 4 * i;
+            if (here & of_calls<kPair>)
+                calls<kPair>(group_ + i / kCalls, static_cast<uint64_t>(first >> 2), draw_.step, draw_.phase, draw_.key,
+                             words + 4 * i);
+        }
     }
 
    private:
-    static constexpr int kTileCalls = kLanes / 4, kLineCalls = 3;
+    static constexpr int kTileCalls = kLanes / 4, kLineCalls = 3, kPair = kTileCalls > kCalls ? 2 : 1;
+
+    template <int n>
+    static constexpr uint32_t of_calls = static_cast<uint32_t>((uint64_t{1} << 4 * n * kCalls) - 1);
 
     void get_unaligned(int64_t first, uint32_t* words) const {
         constexpr int n = kLines * kLineCalls, most = (n + kCalls - 1) / kCalls * kCalls;
@@ -430,7 +445,10 @@ class TileWords {
         uint32_t buffer[4 * most];
         for (int i = 0; i < n; ++i)
             group[i] = (static_cast<uint64_t>(first + draw_.line[i / kLineCalls]) >> 2) + i % kLineCalls;
-        for (int i = 0; i < n; i += kCalls) calls(load_calls(group + i), draw_.step, draw_.phase, draw_.key, buffer + 4 * i);
+        for (int i = 0; i < n; i += kCalls) {
+            const Lanes one = load_calls(group + i);
+            calls<1>(&one, 0, draw_.step, draw_.phase, draw_.key, buffer + 4 * i);
+        }
         for (int i = 0; i < kLines; ++i)
             std::memcpy(words + kPlaces * i, buffer + 4 * kLineCalls * i + ((first + draw_.line[i]) & 3), 4 * kPlaces);
     }
@@ -505,14 +523,17 @@ void expand(Ids ids, const uint32_t* bits, uint16_t bulk, uint16_t* u) {
     }
 }
 
-void compare(Ids ids, const uint16_t* u, uint16_t level, uint32_t* above, uint32_t* equal) {
-    const U16 limit = fill(level);
+int64_t sift(Ids ids, const uint16_t* u, uint16_t low, uint16_t high, uint32_t* above, uint32_t* within) {
+    const U16 bottom = fill(low), top = fill(high), height = fill(high - low);
+    int64_t n_mixed = 0;
     for (size_t i = 0; i < ids.count; ++i) {
         const int32_t id = ids.first[i];
         const U16 v = load(u + kLanes * size_t(id));
-        above[id] = bits_of(v > limit);
-        equal[id] = bits_of(v == limit);
+        above[id] = bits_of(v > top);
+        within[id] = ~bits_of(v - bottom > height);
+        n_mixed += any(v ^ fill(u[kLanes * size_t(id)]));
     }
+    return n_mixed;
 }
 
 INLINE uint32_t popcount(uint32_t x) {
@@ -523,18 +544,6 @@ INLINE uint32_t popcount(uint32_t x) {
     x = (x & 0x33333333u) + (x >> 2 & 0x33333333u);
     return ((x + (x >> 4)) & 0x0F0F0F0Fu) * 0x01010101u >> 24;
 #endif
-}
-
-size_t mixed(Ids ids, const uint16_t* u, uint16_t bulk, int32_t* out, int64_t* n_bulk) {
-    size_t n = 0;
-    for (size_t i = 0; i < ids.count; ++i) {
-        const uint16_t* p = u + kLanes * size_t(ids.first[i]);
-        const bool is_mixed = (p[0] != 0 && p[0] != bulk) || any(load(p) ^ fill(p[0]));
-        out[n] = ids.first[i];
-        n += is_mixed;
-        *n_bulk += !is_mixed && p[0] == bulk;
-    }
-    return n;
 }
 
 int64_t count_bits(Ids ids, const uint32_t* bits) {
@@ -686,7 +695,7 @@ constexpr Kernels::ByDimension by_dimension() {
 #define CICATRIX_QUOTED(x) CICATRIX_STRING(x)
 
 const Kernels& CICATRIX_NAME(CICATRIX_ISA)() {
-    static constexpr Kernels table = {CICATRIX_QUOTED(CICATRIX_ISA), philox, draw, random_values, count_bits, expand, compare, mixed,
+    static constexpr Kernels table = {CICATRIX_QUOTED(CICATRIX_ISA), philox, draw, random_values, count_bits, expand, sift,
                                       {by_dimension<2>(), by_dimension<3>()}};
     return table;
 }

@@ -100,10 +100,8 @@ struct Kernels {
     int64_t (*count_bits)(Ids ids, const uint32_t* bits);
     // Density of undisturbed sites: bulk where a bit is set, else 0.
     void (*expand)(Ids ids, const uint32_t* bits, uint16_t bulk, uint16_t* u);
-    // Sites with U > level and with U == level, as bits.
-    void (*compare)(Ids ids, const uint16_t* u, uint16_t level, uint32_t* above, uint32_t* equal);
-    // Blocks whose lanes are not all equal; returns how many, and counts those that are all bulk.
-    size_t (*mixed)(Ids ids, const uint16_t* u, uint16_t bulk, int32_t* out, int64_t* n_bulk);
+    // Sites with U > high, and with low <= U <= high, as bits; returns how many tiles are not everywhere the same.
+    int64_t (*sift)(Ids ids, const uint16_t* u, uint16_t low, uint16_t high, uint32_t* above, uint32_t* within);
 
     struct ByDimension {
         // The first sub-step, straight from the bits.

@@ -53,7 +53,7 @@ class Motility {
 
     int64_t bytes() const {
         return static_cast<int64_t>(2 * (density_[0].capacity() + density_[1].capacity() + own_.capacity()) +
-                                    4 * (above_.capacity() + equal_.capacity()));
+                                    4 * (above_.capacity() + within_.capacity()));
     }
 
    private:
@@ -83,75 +83,80 @@ class Motility {
         int64_t count = 0, at = 0, wanted = 0;  // cells; lanes at this level, and how many of them hold a cell
     };
 
-    // The level U0 that as many sites of the core reach as there are cells in it.
+    struct Window {
+        int low, high;
+    };
+
+    // The level U0 that as many sites of the core reach as there are cells in it. It is looked for about the last one, where few
+    // lanes are, and then anywhere. Leaves which lanes are above the window, and which in it.
     Level level_of(const uint16_t* u) {
-        const std::vector<int64_t> fine = histogram(u);
-        std::vector<int64_t> coarse(fine.size() / kFine + 1, 0);  // and one more number, of the cells
-        for (size_t i = 0; i < fine.size(); ++i) coarse[i / kFine] += fine[i];
-        coarse.back() = s_.count_bits(s_.band.own_core(), s_.cells());
-        coarse = s_.sum([&] { return coarse; });
+        above_.resize(s_.band.size()), within_.resize(s_.band.size());
         Level level;
-        level.wanted = level.count = coarse.back();
-        coarse.pop_back();
-        const size_t first = kFine * reached_by(coarse, level.wanted);
-        const auto some = fine.begin() + first;
-        const std::vector<int64_t> here = s_.sum([&] { return std::vector<int64_t>(some, some + kFine); });
-        const size_t place = reached_by(here, level.wanted);
-        level.value = static_cast<uint16_t>(first + place), level.at = here[place];
+        if (!find(u, {std::max(last_ - kAbout, 0), std::min<int>(last_ + kAbout, G::bulk)}, level)) find(u, {0, G::bulk}, level);
+        last_ = level.value;
         return level;
     }
 
-    // The last bin such that it and those after it hold `wanted`; leaves how many of them lie in this bin.
-    static size_t reached_by(const std::vector<int64_t>& bins, int64_t& wanted) {
-        size_t i = bins.size() - 1;
-        for (; i > 0 && bins[i] < wanted; --i) wanted -= bins[i];
-        return i;
+    // Whether the level lies in the window.
+    bool find(const uint16_t* u, Window window, Level& level) {
+        std::vector<int64_t> lanes = s_.sum([&] { return tally(u, window); });
+        level.count = level.wanted = lanes.back();
+        lanes.pop_back();
+        for (size_t i = lanes.size(); i-- > 0; level.wanted -= lanes[i])
+            if (lanes[i] >= level.wanted) {
+                level.value = static_cast<uint16_t>(window.low + i), level.at = lanes[i];
+                return window.low + i <= static_cast<size_t>(window.high) || level.count == 0;
+            }
+        return false;
     }
 
-    // How many lanes of the own core have each density.
-    std::vector<int64_t> histogram(const uint16_t* u) {
-        const std::vector<int32_t>& core = s_.band.own_core();
-        mixed_.resize(core.size());
-        int64_t n_bulk = 0;
-        mixed_.resize(s_.kernels.mixed(Ids{core.data(), core.size()}, u, G::bulk, mixed_.data(), &n_bulk));
-        s_.work.mixed_sites = kLanes * static_cast<int64_t>(mixed_.size());
-        std::vector<std::vector<uint32_t>> parts(s_.most_pieces());  // a table that fits into the first cache
-        s_.pieces(mixed_, [&](int i, Ids ids) {
-            parts[i].assign(size_t{G::bulk} + 1, 0);
-            uint32_t* n = parts[i].data();
+    // How many lanes of the own core have each density of the window, and a greater one; and how many cells there are.
+    std::vector<int64_t> tally(const uint16_t* u, Window window) {
+        std::vector<std::vector<int64_t>> parts(s_.most_pieces());
+        const size_t size = window.high - window.low + 1;
+        s_.pieces(s_.band.own_core(), [&](int i, Ids ids) {
+            parts[i].assign(size + 3, 0);
+            int64_t* n = parts[i].data();
+            n[size + 2] = s_.kernels.sift(ids, u, window.low, window.high, above_.data(), within_.data());
             for (size_t k = 0; k < ids.count; ++k) {
-                const uint16_t* here = u + kLanes * size_t(ids.first[k]);
-                for (int lane = 0; lane < kLanes; ++lane) ++n[here[lane]];
+                const int32_t id = ids.first[k];
+                const uint16_t* reached = u + kLanes * size_t(id);
+                for (uint32_t left = within_[id]; left; left &= left - 1) ++n[reached[__builtin_ctz(left)] - window.low];
             }
+            n[size] = s_.kernels.count_bits(ids, above_.data()), n[size + 1] = s_.kernels.count_bits(ids, s_.cells());
         });
-        std::vector<int64_t> all(size_t{G::bulk} + 1, 0);
+        std::vector<int64_t> all(size + 3, 0);
         for (const auto& part : parts)
-            for (size_t level = 0; level < part.size(); ++level) all[level] += part[level];
-        all[0] += kLanes * (static_cast<int64_t>(core.size()) - n_bulk) - s_.work.mixed_sites;
-        all[G::bulk] += kLanes * n_bulk;
+            for (size_t i = 0; i < part.size(); ++i) all[i] += part[i];
+        s_.work.mixed_sites = kLanes * all.back();
+        all.pop_back();
         return all;
     }
 
     // Cells sit where U > level, and at the wanted number of the sites at the level.
     void keep_level(const uint16_t* u, const Level& level) {
-        above_.resize(s_.band.size()), equal_.resize(s_.band.size());
-        s_.pieces(s_.band.own_core(), [&](int, Ids ids) { s_.kernels.compare(ids, u, level.value, above_.data(), equal_.data()); });
         const bool takes_all = level.wanted == level.at;
         s_.words.clear();
         for (int32_t id : s_.band.own_core()) {
-            s_.set_cells(id, (takes_all ? above_[id] | equal_[id] : above_[id]) & s_.fill()[id]);
-            if (!takes_all) s_.add_words(id, equal_[id] & s_.fill()[id]);
+            uint32_t cells = above_[id], ties = 0;
+            for (uint32_t left = within_[id]; left; left &= left - 1) {
+                const uint16_t reached = u[kLanes * size_t(id) + __builtin_ctz(left)];
+                if (reached == level.value) ties |= left & -left;
+                if (reached > level.value) cells |= left & -left;
+            }
+            s_.set_cells(id, (takes_all ? cells | ties : cells) & s_.fill()[id]);
+            if (!takes_all) s_.add_words(id, ties & s_.fill()[id]);
         }
         if (!takes_all) s_.settle_first(kMotilityTie, level.wanted);
     }
 
-    static constexpr size_t kFine = 128;          // levels of a coarse bin
+    static constexpr int kAbout = 64;            // levels
     static constexpr size_t kTilesPerWave = 64;  // some of them fit into the first cache, with all their sub-steps
 
     Stage<D>& s_;
     Values density_[2], own_;
-    std::vector<int32_t> mixed_;
-    std::vector<uint32_t> above_, equal_;
+    std::vector<uint32_t> above_, within_;
+    int last_ = G::bulk / 2;  // level
 };
 
 }  // namespace cicatrix
