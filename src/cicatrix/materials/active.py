@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..core.law import choice, param
-from ..core.tensors import first_invariant
+from ..core.tensors import IDENTITY, first_invariant
 from .fibres import ORIENTATIONS, by_moments, stretches
 from .material import EnergyMaterial, Response, State
 from .orientation import Orientation
@@ -31,6 +31,12 @@ class Contraction(EnergyMaterial):
     def energy(self, F: Array, state: State = ()) -> Array:
         """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]; grows when the tissue is stretched against the pull."""
         return 0.5 * self.tension * (first_invariant(F) - 3.0)
+
+    def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
+        """Stress, tangent and no history: ``EnergyMaterial.response`` is the twin."""
+        tension = jnp.broadcast_to(self.tension, F.shape[:-2])[..., None, None]
+        alike = IDENTITY[:, None, :, None] * IDENTITY[None, :, None, :]
+        return Response(tension * F, tension[..., None, None] * alike, state)
 
 
 class ActiveFibres(EnergyMaterial):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import jax.numpy as jnp
 from jax import Array
 
 from ..core.tensors import det, inv, product
-from .material import EnergyMaterial, State
+from .material import EnergyMaterial, Response, State
 
 
 class NaturalConfiguration(EnergyMaterial):
@@ -51,6 +52,15 @@ class NaturalConfiguration(EnergyMaterial):
     def advance(self, F: Array, state: State, dt: float) -> State:
         """Advance the law at its elastic deformation."""
         return self.law.advance(product(F, inv(self.F_n)), state, dt)
+
+    def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
+        """Stress, tangent and new history from the law's own answer at its elastic deformation."""
+        back, volume = inv(self.F_n), det(self.F_n)[..., None, None]
+        answer = self.law.response(product(F, back), state, dt)
+        half = sum(answer.A[..., n, None] * back[..., None, None, None, :, n] for n in range(3))
+        whole = sum(half[..., :, None, m, :, :] * back[..., None, :, m, None, None] for m in range(3))  # pyright: ignore[reportIndexIssue]
+        P = product(answer.P, jnp.swapaxes(back, -1, -2))
+        return Response(volume * P, volume[..., None, None] * whole, answer.state)
 
     def dissipated(self, F: Array, before: State, after: State, dt: float) -> Array:
         """That of the law per volume of its natural configuration, times how much of that there is."""

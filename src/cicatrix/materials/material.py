@@ -100,11 +100,14 @@ class EnergyMaterial(Law):
         whose parameters are single numbers the shape may be left out.
         """
         side = jnp.broadcast_to(jnp.cbrt(jnp.asarray(self.volume_at_rest(), float)), shape)
-        virgin = self.initial_state(shape)
-        _, along = jax.linearize(lambda F: self.stress(F, virgin), side[..., None, None] * jnp.eye(3))
-        columns = jax.vmap(lambda d: along(jnp.broadcast_to(d, (*shape, 3, 3))))(jnp.eye(9).reshape(9, 3, 3))
-        A = columns.reshape(3, 3, *columns.shape[1:])
-        volumetric, every = jnp.einsum("ii...jj->...", A), jnp.einsum("ij...ij->...", A)
+        F, virgin = side[..., None, None] * jnp.eye(3), self.initial_state(shape)
+        if jax.tree.leaves(virgin):
+            _, along = jax.linearize(lambda F: self.stress(F, virgin), F)
+            columns = jax.vmap(lambda d: along(jnp.broadcast_to(d, (*shape, 3, 3))))(jnp.eye(9).reshape(9, 3, 3))
+            A = jnp.moveaxis(columns, 0, -1).reshape(*shape, 3, 3, 3, 3)
+        else:
+            A = self.response(F, virgin).A
+        volumetric, every = jnp.einsum("...iijj->...", A), jnp.einsum("...ijij->...", A)
         return (3.0 * every - volumetric) / 30.0, volumetric / 9.0
 
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from .growth import NaturalConfiguration
-from .material import EnergyMaterial, State
+from .material import EnergyMaterial, Response, State
 from .scar import Scar
 
 
@@ -45,6 +45,13 @@ class Patched(EnergyMaterial):
     def energy(self, F: Array, state: State = ()) -> Array:
         """Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
         return jnp.where(self.is_new, 0.0, self.old.energy(F)) + self.scar.energy(F)
+
+    def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
+        """Stress and tangent from both laws' own answers; no history."""
+        old, scar = self.old.response(F), self.scar.response(F)
+        is_new = jnp.asarray(self.is_new)[..., None, None]
+        A = jnp.where(is_new[..., None, None], 0.0, old.A) + scar.A
+        return Response(jnp.where(is_new, 0.0, old.P) + scar.P, A, state)
 
     def volume_at_rest(self, state: State = ()) -> Array:
         """Of the tissue that is there (...) [1]."""

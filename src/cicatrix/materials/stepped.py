@@ -5,7 +5,7 @@ from __future__ import annotations
 from jax import Array
 
 from ..core.law import param
-from .material import EnergyMaterial, State
+from .material import EnergyMaterial, Response, State
 
 
 class Stepped(EnergyMaterial):
@@ -39,6 +39,11 @@ class Stepped(EnergyMaterial):
     def stress(self, F: Array, state: State = ()) -> Array:
         """P at the end of the step: F (..., 3, 3) [1] -> (..., 3, 3) [kPa]."""
         return self.law.stress(F, self.after(F))
+
+    def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
+        """Stress and consistent tangent at the end of the step, as the law gives them."""
+        P, A, _ = self.law.response(F, self.before, self.dt)  # pyright: ignore[reportArgumentType]
+        return Response(P, A, state)
 
     def volume_at_rest(self, state: State = ()) -> Array:
         """That of the law at the start of the step."""
