@@ -7,9 +7,10 @@ import pytest
 import scipy.sparse as sp
 from scipy.linalg import block_diag
 
-from cicatrix.core import factors, scatter
-from cicatrix.core.linear import LinearSolver, conjugate_gradients
+from cicatrix.core import factors, linear, scatter
+from cicatrix.core.linear import LinearSolver, conjugate_gradients, gmres
 from cicatrix.core.native import add_blocks, add_contracted, turn_blocks
+from cicatrix.core.workers import in_order
 from cicatrix.mechanics.pattern import Pattern
 
 N_NODES = 40
@@ -179,6 +180,37 @@ def test_conjugate_gradients_end_in_as_many_steps_as_there_are_eigenvalues():
     x, steps = conjugate_gradients(matrix, np.ones(60), lambda r: r.copy(), 1e-12, 10)
     assert steps == 3
     np.testing.assert_allclose(x, 1 / d, rtol=1e-12)
+
+
+@pytest.mark.parametrize("method", [conjugate_gradients, gmres])
+def test_a_crawling_solve_is_given_up(method):
+    """A spectrum over six decades without a preconditioner: hardly a digit in any step."""
+    matrix = sp.bsr_array(np.diag(np.geomspace(1.0, 1e6, 300)))
+    solve = partial(method, matrix, np.ones(300), lambda r: r.copy(), 1e-6)
+    assert solve(240, slowest=10.0) == (None, linear.FEW)
+    patient, steps = solve(240)
+    assert patient is not None or steps >= 240
+
+
+def test_a_factor_that_crawls_gives_way_to_another():
+    """As after surgery: the next matrix is of another kind altogether."""
+    solver, rhs = LinearSolver(), np.ones(300)
+    solver.solve(sp.bsr_array(np.eye(300)), rhs, 1e-8)
+    matrix = sp.bsr_array(np.diag(np.geomspace(1.0, 1e6, 300)))
+    x = solver.solve(matrix, rhs, 1e-8)
+    np.testing.assert_allclose(x, 1.0 / matrix.diagonal(), rtol=1e-5)
+    assert solver.n_factorizations == 2
+    assert solver.n_steps < 30
+
+
+@pytest.mark.parametrize("threads", ["1", "3"])
+def test_workers_answer_in_order_and_not_far_ahead(monkeypatch, threads):
+    monkeypatch.setenv("CICATRIX_THREADS", threads)
+    begun, answers = [], []
+    for answer in in_order(lambda i: begun.append(i) or 2 * i, range(20)):
+        answers.append(answer)
+        assert len(begun) <= len(answers) + int(threads)
+    assert answers == [2 * i for i in range(20)]
 
 
 @pytest.mark.parametrize("fault", [np.nan, 0.0])

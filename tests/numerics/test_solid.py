@@ -12,6 +12,7 @@ from cicatrix.core.linear import LinearSolver
 from cicatrix.core.scatter import contracted
 from cicatrix.geometry.tetrahedra import boundary, oriented, unmirrored, volumes, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
+from cicatrix.mechanics import body as bodies
 from cicatrix.mechanics.body import Body, Frame, deformation_gradients
 from cicatrix.mechanics.elements import (
     Bulk,
@@ -138,6 +139,18 @@ def test_residual_is_the_derivative_of_the_potential(body, bent, slope):
     d = np.random.default_rng(2).standard_normal(x.shape)
     expected = slope(lambda t: body.potential(X, x + t * d, gravity), 1e-3)
     assert np.sum(body.residual(X, x, gravity) * d) == pytest.approx(expected, rel=1e-7)
+
+
+def test_threads_and_pieces_change_no_bit_of_a_tangent(body, bent, monkeypatch):
+    """Elements some at a time, the last ones some of them twice, on one thread and on three."""
+    X, x = bent
+    J, found = body.dilation(X, x), []
+    monkeypatch.setattr(bodies, "PIECE", len(J) // 3 + 1)
+    for threads in "13":
+        monkeypatch.setenv("CICATRIX_THREADS", threads)
+        matrix, rates = body.linearised(X, x, J, in_plane=False)
+        found.append(matrix.data.tobytes() + rates.force_rate.tobytes() + rates.volume_rate.tobytes())
+    assert found[0] == found[1]
 
 
 def test_turned_bodies_bear_turned_forces(body, bent):

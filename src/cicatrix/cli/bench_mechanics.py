@@ -28,7 +28,7 @@ from ..study.equilibrium import solid_body
 from .measurement import Measurement
 
 SEMI_AXES_MM = np.array([65.0, 65.0, 50.0])
-EDGES_MM = {"34k dofs": 11.1, "118k dofs": 6.55, "380k dofs": 3.97}
+EDGES_MM = {"34k dofs": 11.1, "118k dofs": 6.55, "380k dofs": 4.18}
 VOXELS = 8  # per edge, about: the skin is as fine as its voxels
 E_KPA, NU, DENSITY = (1.0, 10.0, 60.0), 0.49, 1e-6  # fat, gland, tumour; kg/mm^3
 GRAVITY = np.array([0.0, -9810.0, 0.0])  # mm/s^2

@@ -100,11 +100,6 @@ class PetscEngine:
     method: Method = "mumps"
     library: Petsc = field(default_factory=petsc)
 
-    @property
-    def patience(self) -> float:
-        """Each matrix gets its own preconditioner: many solves with an old one mean many messages between ranks."""
-        return -1.0
-
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> PetscSystem:  # noqa: D102
         layout = self.layout or Layout(Ranks(), np.zeros(matrix.shape[0] // matrix.blocksize[0], int))
         options = GAMG if self.method == "gamg" and kind == Kind.DEFINITE else MUMPS
@@ -118,6 +113,7 @@ class PetscEngine:
         rhs: np.ndarray,
         tolerance: float,
         most_steps: int,
+        slowest: float = np.inf,
     ) -> tuple[np.ndarray | None, int]:
         return factor.iterate(method, matrix, rhs, tolerance, most_steps)
 
@@ -128,6 +124,8 @@ class PetscEngine:
 
 class PetscSystem:
     """A matrix over ranks, a Krylov method and its preconditioner; factorisation and factor in one, as PARDISO's."""
+
+    price = -1.0  # each matrix gets its own: many solves with an old one mean many messages between ranks
 
     def __init__(
         self, library: Petsc, layout: Layout, kind: Kind, preconditioner: dict[str, str | float], matrix: sp.bsr_array

@@ -15,24 +15,31 @@ from .factors import Factor, Factorisation, Kind, check_finite, factorisation
 from .krylov import Krylov, PetscEngine
 
 PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
+INDEFINITE = 0.5  # steps in place of those: minimal residuals take longer, and the next factor may well be definite
+FEW = 10  # steps before a pace is judged
 
 
 class Engine(Protocol):
     """What factorises and iterates, on this process or on several ranks."""
-
-    @property
-    def patience(self) -> float:
-        """Krylov steps in excess of what a fresh factor would take that are worth another factor."""
-        ...
 
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:
         """Prepare to factorise matrices of this pattern."""
         ...
 
     def iterate(
-        self, factor: Any, method: Krylov, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+        self,
+        factor: Any,
+        method: Krylov,
+        matrix: sp.bsr_array,
+        rhs: np.ndarray,
+        tolerance: float,
+        most_steps: int,
+        slowest: float = np.inf,
     ) -> tuple[np.ndarray | None, int]:
-        """Solve with a factor: the solution, or None where it is not reached, and the steps taken."""
+        """Solve with a factor: the solution, or None where it is not reached, and the steps taken.
+
+        It may give up where the steps per digit come out above ``slowest``.
+        """
         ...
 
     def release(self, methods: Sequence[Any]) -> None:
@@ -43,17 +50,22 @@ class Engine(Protocol):
 class InProcess:
     """What this process has without PETSc (``factorisation``), and the Krylov methods below."""
 
-    patience = 30.0  # about what a factor of 30 000 unknowns costs; of 100 000 it is 45, of a section 10
-
     def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
         check_finite(matrix)  # PARDISO looks at the numbers already
         return factorisation(kind, matrix)
 
     def iterate(  # noqa: D102
-        self, factor: Factor, method: Krylov, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+        self,
+        factor: Factor,
+        method: Krylov,
+        matrix: sp.bsr_array,
+        rhs: np.ndarray,
+        tolerance: float,
+        most_steps: int,
+        slowest: float = np.inf,
     ) -> tuple[np.ndarray | None, int]:
         solve = conjugate_gradients if method == "cg" else gmres
-        return solve(matrix, rhs, factor.solve, tolerance, most_steps)
+        return solve(matrix, rhs, factor.solve, tolerance, most_steps, slowest)
 
     def release(self, methods: Sequence[Factorisation]) -> None:  # noqa: D102
         pass  # they do it when nobody knows them any more
@@ -72,7 +84,7 @@ class LinearSolver:
     definite factor are solved with by conjugate gradients, all others by generalised minimal residuals.
 
     The factor is kept until the steps that it took in excess of its best rate, in steps per digit, would have paid for another
-    one, or until it fails. What is done depends on numbers alone, never on time.
+    one; it goes at once where it fails or crawls. What is done depends on numbers alone, never on time.
 
     Parameters
     ----------
@@ -85,7 +97,7 @@ class LinearSolver:
         self._methods: dict[Kind, Factorisation] = {}
         self._factor: Factor | None = None
         self._kind = Kind.DEFINITE
-        self._best_rate, self._excess = np.inf, np.inf
+        self._best_rate, self._spent = np.inf, 0.0
         self.n_factorizations, self.n_steps = 0, 0
 
     def solve(
@@ -110,8 +122,9 @@ class LinearSolver:
             Where the matrix is singular or not finite.
         """
         symmetric = near is None
-        if self._excess <= self._engine.patience:
-            x = self._iterate(matrix, rhs, tolerance, symmetric)
+        if self._factor is not None and self._spent <= self._price:
+            slowest = self._best_rate + self._price / _digits(tolerance)
+            x = self._iterate(matrix, rhs, tolerance, symmetric, slowest)
             if x is not None:
                 return x
         part = matrix if near is None else near()
@@ -125,6 +138,11 @@ class LinearSolver:
             raise FloatingPointError("the matrix is singular to working precision")
         return x
 
+    @property
+    def _price(self) -> float:
+        """Of another factor, in steps with this one."""
+        return self._factor.price * (INDEFINITE if self._kind == Kind.SYMMETRIC else 1.0)
+
     def factor(self, matrix: sp.bsr_array) -> None:
         """Factorise this symmetric matrix; raises FloatingPointError where it is singular or not finite."""
         try:
@@ -133,40 +151,40 @@ class LinearSolver:
             self._factorise(Kind.SYMMETRIC, matrix)
 
     def _factorise(self, kind: Kind, matrix: sp.bsr_array) -> None:
-        self._best_rate, self._excess = np.inf, np.inf
+        self._factor, self._best_rate, self._spent = None, np.inf, 0.0
         if kind not in self._methods:
             self._methods[kind] = self._engine.factorisation(kind, matrix)
         self.n_factorizations += 1
         self._factor, self._kind = self._methods[kind].factor(matrix), kind
-        self._excess = 0.0
 
     def forget(self) -> None:
         """Let the factor's memory go."""
         self._engine.release(list(self._methods.values()))
-        self._methods, self._factor, self._excess = {}, None, np.inf
+        self._methods, self._factor = {}, None
 
     def kept(self) -> dict[str, np.ndarray]:
         """Everything that the next solve depends on, for ``restore``; empty before the first."""
         if self._factor is None:
             return {}
-        served = np.array([self._best_rate, self._excess])
+        served = np.array([self._best_rate, self._spent])
         return {"values": self._factor.values, "kind": np.array(self._kind), "served": served}
 
     def restore(self, matrix: sp.bsr_array, kept: Mapping[str, np.ndarray]) -> None:
         """Go on, to the bit, where another solver was; ``matrix`` is any of the pattern."""
-        self._kind, (self._best_rate, self._excess) = Kind(int(kept["kind"])), map(float, kept["served"])
+        self._kind, (self._best_rate, self._spent) = Kind(int(kept["kind"])), map(float, kept["served"])
         self._methods[self._kind] = self._engine.factorisation(self._kind, matrix)
         self._factor = self._methods[self._kind].again(kept["values"])
 
-    def _iterate(self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, symmetric: bool) -> np.ndarray | None:
+    def _iterate(
+        self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, symmetric: bool, slowest: float = np.inf
+    ) -> np.ndarray | None:
         """Solve with the factor that is there; None where it does not serve."""
-        most = self._factor.most_steps
         method = "cg" if symmetric and self._kind == Kind.DEFINITE else "gmres"
-        x, steps = self._engine.iterate(self._factor, method, matrix, rhs, tolerance, most)
+        most = self._factor.most_steps
+        x, steps = self._engine.iterate(self._factor, method, matrix, rhs, tolerance, most, slowest)
         self.n_steps += steps
-        digits = max(-np.log10(tolerance), 1.0)
-        self._best_rate = min(self._best_rate, max(steps, 1) / digits)
-        self._excess = np.inf if x is None else self._excess + steps - self._best_rate * digits
+        self._best_rate = min(self._best_rate, max(steps, 1) / _digits(tolerance))
+        self._spent = np.inf if x is None else self._spent + steps - self._best_rate * _digits(tolerance)
         return x
 
     def is_definite(self, matrix: sp.bsr_array) -> bool:
@@ -183,8 +201,19 @@ class LinearSolver:
         return x is not None or steps == PROBE_STEPS
 
 
+def _digits(tolerance: float) -> float:
+    return max(-np.log10(tolerance), 1.0)
+
+
+def _is_slow(steps: int, share: float, slowest: float) -> bool:
+    """Whether the residual is down to so small a share of the right-hand side in too many steps per digit."""
+    if steps < FEW or slowest == np.inf:
+        return False
+    return steps > slowest * max(-np.log10(max(share, 1e-300)), 0.0)
+
+
 def conjugate_gradients(
-    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int
+    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int, slowest: float = np.inf
 ) -> tuple[np.ndarray | None, int]:
     """Preconditioned conjugate gradients: the solution, or None where it is not reached, and the steps taken.
 
@@ -192,12 +221,13 @@ def conjugate_gradients(
     conjugate by the change of the residual (Polak & Ribiere; Notay 2000, flexible conjugate gradients).
     """
     x, r, p, rz = np.zeros_like(rhs), rhs.copy(), np.zeros_like(rhs), 1.0
-    before, goal = np.zeros_like(rhs), tolerance * float(np.linalg.norm(rhs))
+    before, whole = np.zeros_like(rhs), float(np.linalg.norm(rhs))
     for step in range(most_steps + 1):
-        if np.linalg.norm(r) <= goal:
+        left = float(np.linalg.norm(r))
+        if left <= tolerance * whole:
             return x, step
-        if step == most_steps:
-            break
+        if step == most_steps or _is_slow(step, left / whole, slowest):
+            return None, step
         z = precondition(r)
         p = z + (z @ (r - before)) / rz * p if step else z
         rz, before = float(z @ r), r.copy()
@@ -208,19 +238,32 @@ def conjugate_gradients(
         share = rz / curvature
         x += share * p
         r -= share * Kp
-    return None, most_steps
+    raise AssertionError("the last step returns")
+
+
+class _TooSlowError(Exception):
+    pass
 
 
 def gmres(
-    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int
+    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int, slowest: float = np.inf
 ) -> tuple[np.ndarray | None, int]:
     """SciPy's generalised minimal residuals; the solution, or None where it is not reached, and the steps taken."""
-    steps = []
+    shares = []
+
+    def note(share: float) -> None:
+        shares.append(share)
+        if _is_slow(len(shares), share, slowest):
+            raise _TooSlowError
+
     operator = LinearOperator(matrix.shape, matvec=precondition, dtype=float)  # pyright: ignore[reportCallIssue]
-    x, left = scipy_gmres(
-        *(matrix, rhs),
-        **{"rtol": tolerance, "M": operator, "restart": most_steps // 3, "maxiter": 3},
-        callback=steps.append,
-        callback_type="pr_norm",
-    )
-    return None if left else x, len(steps)
+    try:
+        x, left = scipy_gmres(
+            *(matrix, rhs),
+            **{"rtol": tolerance, "M": operator, "restart": most_steps // 3, "maxiter": 3},
+            callback=note,
+            callback_type="pr_norm",
+        )
+    except _TooSlowError:
+        return None, len(shares)
+    return None if left else x, len(shares)

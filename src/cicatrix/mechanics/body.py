@@ -15,6 +15,7 @@ from jax import Array
 
 from ..core.compiler import COMPILER
 from ..core.ranks import Ranks
+from ..core.workers import in_order
 from ..materials.material import EnergyMaterial
 from .elements import (
     NORMAL,
@@ -262,8 +263,13 @@ class Body:
         free, pattern = self.frame.solved(in_plane)
         cells, bulk = self.frame.space.element_nodes, jax.tree.map(np.asarray, self._bulk)
         data, rates = pattern.zeros(), VolumeRates.empty(*J_bar.shape, 3 * cells.shape[1])
-        for piece, done in _pieces(len(cells)):
+
+        def one(piece: slice) -> Linearised:
             part = linearise(X[cells[piece]], x[cells[piece]], J_bar[piece], _part(bulk, piece, len(cells)))
+            return jax.block_until_ready(part)
+
+        pieces = list(_pieces(len(cells)))
+        for (piece, done), part in zip(pieces, in_order(one, [piece for piece, _ in pieces])):
             pattern.add_contracted(data, 0, piece.start + done, [np.asarray(factor)[done:] for factor in part[:4]])
             rates.force_rate[piece], rates.volume_rate[piece] = part.force_rate, part.volume_rate
         pattern.add(data, 1, 0, np.asarray(skin))

@@ -340,13 +340,20 @@ class _Kept:
         self.value, self._norm = None, np.inf
 
     def at(self, z: np.ndarray, r: np.ndarray) -> tuple[Any, float]:
-        """The linearisation to use at z, where the residual is r, and the forcing term of Eisenstat & Walker (1996, choice 2)."""
+        """The linearisation to use at z, where the residual is r, and the forcing term.
+
+        That is Eisenstat & Walker's (1996, choice 2) for a new one. With an old one the residual comes down in proportion,
+        however exactly the system is solved.
+        """
         norm = self._length(r)
+        progress = norm / self._norm if np.isfinite(self._norm) else 1.0
+        exactly = 0.9 * progress**2
         if self.value is None or not norm < self._below * self._norm:
             self.value = None
             self.value = self._linearise(z)
-        progress = norm / self._norm if np.isfinite(self._norm) else 1.0
-        forcing = np.clip(0.9 * progress**2, 0.1 * self._tolerance / norm, LOOSEST)
+        else:
+            exactly = 0.5 * progress  # it has changed by about 2 progress since it was made
+        forcing = np.clip(exactly, 0.1 * self._tolerance / norm, LOOSEST)
         self._norm = norm
         return self.value, float(forcing)
 
