@@ -416,6 +416,7 @@ def test_a_full_history_says_so():
     assert np.isnan(mix.masses(after)[0])
     assert (used_up(state), used_up(state, 1), used_up(after)) == (0, 3, 3)
     assert used_up((mixture(Recursive(2), FIBRE).initial_state(()), ()), 1) == 0
+    assert used_up(mixture(Homogenised(), FIBRE).initial_state(()), 1) == 0
 
 
 def test_a_body_with_a_full_history_does_not_go_on():

@@ -57,7 +57,7 @@ class Cohorts(NamedTuple):
     natural: Array
     """N of each (..., n, 3, 3)."""
     kept: Array
-    """How many places are or were taken (...); not more than n."""
+    """How many places are taken for good (...), not more than n; 0 where they are used again."""
 
 
 class Places(eqx.Module):
@@ -75,7 +75,7 @@ class Places(eqx.Module):
         """One cohort of mass (...) and natural state (..., 3, 3), and empty places."""
         masses = jnp.zeros((*mass.shape, self.cohorts)).at[..., 0].set(mass)
         everywhere = jnp.broadcast_to(natural[..., None, :, :], (*mass.shape, self.cohorts, 3, 3))
-        return Cohorts(masses, everywhere, jnp.ones(mass.shape, int))
+        return Cohorts(masses, everywhere, jnp.zeros(mass.shape, int))
 
     def mass(self, state: Cohorts) -> Array:
         """Sum over the cohorts (...) [1]."""
@@ -114,6 +114,11 @@ class Exact(Places):
         """Itself."""
         return self
 
+    def start(self, mass: Array, natural: Array) -> Cohorts:
+        """One cohort, whose place is taken for good."""
+        state = super().start(mass, natural)
+        return state._replace(kept=state.kept + 1)
+
     def absorb(
         self, law: EnergyMaterial, F: Array, state: Cohorts, survival: Array, mass: Array, natural: Array
     ) -> Cohorts:
@@ -130,7 +135,7 @@ class Exact(Places):
 def used_up(state: State, more: int = 0) -> int:
     """Places of an exact memory in a law's state that so many more steps would overfill; 0 where there is none."""
     parts = jax.tree.leaves(state, is_leaf=lambda part: isinstance(part, Cohorts))
-    memories = [part for part in parts if isinstance(part, Cohorts)]
+    memories = [part for part in parts if isinstance(part, Cohorts) and np.any(part.kept)]
     return next((m.masses.shape[-1] for m in memories if np.max(m.kept) + more > m.masses.shape[-1]), 0)
 
 
