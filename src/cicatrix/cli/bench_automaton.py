@@ -22,17 +22,16 @@ BALLS = ((160, 50), (450, 150))
 W = np.zeros(1)
 
 
-def automaton() -> list[Measurement]:
+def automaton() -> Iterator[Measurement]:
     """Milliseconds per cycle and seconds to closure, next to peers and ceilings measured in the same run."""
     if not native.is_native:
         raise InputError("the compiled module is not there (or CICATRIX_NATIVE = 0): there is nothing to measure")
-    rows = [*_ceilings()]
+    yield from _ceilings()
     for n, radius in DISCS:
-        rows += _size((n, n), radius)
+        yield from _size((n, n), radius)
     for n, radius in BALLS:
-        rows += _size((n, n, n), radius, close=radius <= 50)
-    rows += [*_peers()]
-    return rows
+        yield from _size((n, n, n), radius, close=radius <= 50)
+    yield from _peers()
 
 
 def compiled(shape: tuple[int, ...], radius_sites: float, threads: int = 1, isa: str = "") -> NativeCore:

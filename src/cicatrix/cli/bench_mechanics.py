@@ -37,15 +37,13 @@ STAGES = {"linearise": (Body, "linearised"), "residual": (Body, "residual"), "fa
 STIFFER = 1.05  # the second solve: as much as a healing cycle changes
 
 
-def mechanics() -> list[Measurement]:
+def mechanics() -> Iterator[Measurement]:
     """Seconds per stage, factorisations, Krylov steps, memory: each size in its own process, then CalculiX on the same mesh."""
-    rows = []
     with tempfile.TemporaryDirectory() as name:
         for size, edge in EDGES_MM.items():
             folder = Path(name, size.replace(" ", "-"))
             folder.mkdir()
-            rows += _size(size, edge, folder)
-    return rows
+            yield from _size(size, edge, folder)
 
 
 def half_ellipsoid(edge_mm: float) -> Body:

@@ -55,12 +55,12 @@ def road2d() -> list[Measurement]:
     ]
 
 
-def automaton() -> list[Measurement]:
+def automaton() -> Iterator[Measurement]:
     """The automaton: cycles and closure on 10^6 to 10^8 sites, next to twin, dense stencil, Mesa and ceilings."""
     return import_module(".bench_automaton", __package__).automaton()
 
 
-def mechanics() -> list[Measurement]:
+def mechanics() -> Iterator[Measurement]:
     """Equilibrium of a half-ellipsoid breast at three sizes, next to CalculiX."""
     return import_module(".bench_mechanics", __package__).mechanics()
 

@@ -94,7 +94,7 @@ def _mkl() -> ctypes.CDLL | None:
 MKL = _mkl()
 NOT_DEFINITE = -4  # PARDISO's word for a pivot that is not positive, or zero
 N_NEGATIVE, FACTOR_NNZ = 22, 17  # where it tells of them
-PRICE, PRICE_PER_ENTRY = 30.0, 0.04  # of a factor in steps: at least, and for each entry of a row of it
+PRICE, PRICE_PER_ENTRY = 10.0, 0.04  # of a factor in steps: at least, and for each entry of a row of it
 
 
 def check_finite(matrix: sp.bsr_array) -> None:
@@ -211,7 +211,7 @@ def _triangle(matrix: sp.bsr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 class _Blocks(ABC):
     """What SuperLU and multigrid share: the pattern, and the numbers of the last matrix."""
 
-    n_negative, price = None, PRICE
+    n_negative, price = None, 30.0
 
     def __init__(self, matrix: sp.bsr_array) -> None:
         self._pattern = (matrix.indices, matrix.indptr), matrix.shape
