@@ -230,7 +230,11 @@ def torsion(n):
 
 @pytest.mark.parametrize(
     ("n", "moment", "force", "error"),
-    [(1, 0.095, 0.363, 0.29), pytest.param(2, 0.0028, 0.0591, 0.017, marks=pytest.mark.slow)],
+    [
+        (1, 0.095, 0.363, 0.29),
+        pytest.param(2, 0.0028, 0.0591, 0.017, marks=pytest.mark.slow),
+        pytest.param(3, 2.04e-4, 0.00943, 0.0029, marks=pytest.mark.slow),
+    ],
 )
 def test_torsion(n, moment, force, error):
     """Moment and normal force over pi/2 mu t R^4 and -pi/4 mu t^2 R^4 (Rivlin), and the largest error of position [mm]."""

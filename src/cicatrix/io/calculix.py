@@ -7,7 +7,7 @@ import numpy as np
 from ..mechanics.body import Body
 
 
-def calculix_deck(body: Body, gravity: np.ndarray) -> str:
+def calculix_deck(body: Body, gravity: np.ndarray, first: float = 1.0) -> str:
     """Write a solid of neo-Hookean tissue and its gravity as one static step of CalculiX.
 
     Its law is C10 (I1_bar - 3) + (J - 1)^2 / D1 with C10 = mu / 2 and D1 = 2 / kappa (CalculiX manual, *HYPERELASTIC), its
@@ -19,6 +19,8 @@ def calculix_deck(body: Body, gravity: np.ndarray) -> str:
         Of tetrahedra without skin; mu, kappa and density are constant in each element.
     gravity : (3,) array [mm/s^2]
         Acceleration.
+    first : float [1]
+        Share of the load to try first; CalculiX cuts it where that does not converge, and goes on as it sees fit.
     """
     space = body.frame.space
     law = np.stack([np.broadcast_to(v, body.density.shape)[:, 0] for v in (body.law.mu, body.law.kappa, body.density)])
@@ -31,7 +33,7 @@ def calculix_deck(body: Body, gravity: np.ndarray) -> str:
         lines += [f"*MATERIAL, NAME=M{k}", "*HYPERELASTIC, NEO HOOKE", f"{mu / 2:.12e}, {2 / kappa:.12e}"]
         lines += ["*DENSITY", f"{density:.6e}", f"*SOLID SECTION, ELSET=E{k}, MATERIAL=M{k}"]
     lines += ["*NSET, NSET=HELD", *(f"{i + 1}," for i in body.frame.fixed_nodes), "*BOUNDARY", "HELD, 1, 3"]
-    lines += ["*STEP, NLGEOM, INC=1000", "*STATIC", "1., 1.", "*CONTROLS, PARAMETERS=FIELD", "1.e-9, 1.e-9", "*DLOAD"]
+    lines += ["*STEP, NLGEOM, INC=1000", "*STATIC", f"{first:g}, 1.", "*CONTROLS, PARAMETERS=FIELD", "1.e-9, 1.e-9", "*DLOAD"]
     size = float(np.linalg.norm(gravity))
     along = ", ".join(f"{g:.12e}" for g in np.asarray(gravity) / (size or 1.0))
     lines += [f"E{k}, GRAV, {size:.12e}, {along}" for k in range(kinds.shape[1])]
