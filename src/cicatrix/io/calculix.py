@@ -33,7 +33,14 @@ def calculix_deck(body: Body, gravity: np.ndarray, first: float = 1.0) -> str:
         lines += [f"*MATERIAL, NAME=M{k}", "*HYPERELASTIC, NEO HOOKE", f"{mu / 2:.12e}, {2 / kappa:.12e}"]
         lines += ["*DENSITY", f"{density:.6e}", f"*SOLID SECTION, ELSET=E{k}, MATERIAL=M{k}"]
     lines += ["*NSET, NSET=HELD", *(f"{i + 1}," for i in body.frame.fixed_nodes), "*BOUNDARY", "HELD, 1, 3"]
-    lines += ["*STEP, NLGEOM, INC=1000", "*STATIC", f"{first:g}, 1.", "*CONTROLS, PARAMETERS=FIELD", "1.e-9, 1.e-9", "*DLOAD"]
+    lines += [
+        "*STEP, NLGEOM, INC=1000",
+        "*STATIC",
+        f"{first:g}, 1.",
+        "*CONTROLS, PARAMETERS=FIELD",
+        "1.e-9, 1.e-9",
+        "*DLOAD",
+    ]
     size = float(np.linalg.norm(gravity))
     along = ", ".join(f"{g:.12e}" for g in np.asarray(gravity) / (size or 1.0))
     lines += [f"E{k}, GRAV, {size:.12e}, {along}" for k in range(kinds.shape[1])]
