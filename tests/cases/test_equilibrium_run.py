@@ -185,6 +185,14 @@ def test_a_file_that_is_no_mesh_is_told(tmp_path, capsys):
     assert not (tmp_path / "run").exists()
 
 
+def test_a_mesh_in_an_unlikely_unit_is_told_before_it_is_solved(tmp_path, capsys):
+    points, tetrahedra = cube()
+    write(tmp_path, 1e-3 * points, tetrahedra)
+    assert main(["run", str(tmp_path / "case.toml"), "--out", str(tmp_path / "run")]) == 0
+    said = capsys.readouterr().err
+    assert "mm across: is body.mesh_unit right?" in said[: said.index("solve")]
+
+
 def test_a_body_that_fails_in_the_wrong_unit_is_doubted(tmp_path):
     """A cube of 20 m: it cannot bear its weight, and the sentence says what it was taken for."""
     points, tetrahedra = cube()

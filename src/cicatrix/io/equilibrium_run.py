@@ -47,8 +47,9 @@ class EquilibriumRun:
         """Find the shape; returns the sentence that ends the run."""
         with self.progress.stage("mesh"):
             given, body = _given(self.case, self.ranks)
-        if doubt := _doubt(given.points):
-            self.folder.note(doubt)
+            if doubt := _doubt(given.points):
+                self.folder.note(doubt)
+                self.progress.update(1.0, doubt)
         if self.case.history is not None:
             return March(self.case, self.folder, self.progress, given, body).go()
         with self.progress.stage("solve"):
