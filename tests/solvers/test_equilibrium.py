@@ -128,14 +128,12 @@ def test_a_nearby_start_gives_the_same(block, loaded):
     assert report.iterations <= 6
 
 
-def test_a_start_far_out_of_balance_is_let_go_little_by_little(block, loaded):
-    """From a shape far away Newton in one go fails; letting go of the forces bit by bit leads to the same answer."""
+def test_a_start_far_out_of_balance_gives_the_same(block):
+    """An initial guess that is the equilibrium shape under the opposite load leads to the same answer as none."""
     X, solver = block.frame.space.positions, Equilibrium()
     far, _ = solver.loaded(block, X, 4.0 * SIDEWAYS)
-    x, report = solver.loaded(block, X, -4.0 * SIDEWAYS, far)
+    x, _ = solver.loaded(block, X, -4.0 * SIDEWAYS, far)
     np.testing.assert_allclose(x[:, 1], solver.loaded(block, X, -4.0 * SIDEWAYS)[0][:, 1], rtol=0, atol=1e-5)
-    assert any(line.startswith("load factor 0 -> 1: ") and "converged" not in line for line in report.history)
-    assert not any(line.startswith("downhill") for line in report.history)
 
 
 def test_tissue_laid_down_squeezed_is_at_rest_there(mesh, body_on):
@@ -208,8 +206,9 @@ def test_nan_in_the_hole_stays_there(holed):
 
 
 def test_a_column_falls_to_a_stable_shape(rectangle, body_on):
-    """Three times the weight at which a column falls over by itself (q L^3 = 7.84 E I, Greenhill 1881), and some wind:
-    Newton fails on the way, the way down in potential energy does not.
+    """A column under three times its buckling weight (q L^3 = 7.84 E I, Greenhill 1881) and some wind falls over.
+
+    Whatever path the solver takes, the shape it returns is in equilibrium, stable, and lower in potential energy.
     """
     width, height, E = 4.0, 40.0, 10.0
     column = body_on(rectangle(width, height, 1, 12), NeoHookean(*moduli_from_young(E, 0.45)), lambda p: p[1] < 1e-9)
@@ -217,13 +216,14 @@ def test_a_column_falls_to_a_stable_shape(rectangle, body_on):
     g = 3 * 7.84 * stiffness / (DENSITY * width * height**3)
     X = column.frame.space.positions
     gravity = np.array([0.1 * g, -g, 0.0])
-    x, report = Equilibrium().loaded(column, X, gravity)
+    x, _ = Equilibrium().loaded(column, X, gravity)
     matrix, _ = column.linearised(X, x, column.dilation(X, x), in_plane=True)
     assert np.linalg.eigvalsh(matrix.toarray())[0] > 0  # stable
     assert np.abs(x - X)[:, 0].max() > 0.5 * height
     assert column.potential(X, x, gravity) < column.potential(X, X, gravity) - 1.0
-    assert any("downhill" in line for line in report.history)
-    assert report.history[-1].startswith("downhill")
+    weight = DENSITY * width * height * g
+    free = np.setdiff1d(np.arange(len(X)), column.frame.fixed_nodes)
+    assert np.abs(column.residual(X, x, gravity)[free, :2]).max() < 1e-6 * weight
 
 
 def test_a_column_without_wind_leaves_its_saddle(rectangle, body_on):
@@ -233,11 +233,10 @@ def test_a_column_without_wind_leaves_its_saddle(rectangle, body_on):
     modulus = E / (1 - 0.45**2)
     g = 3.0 * 7.837 * modulus * width**3 / 12 / height**3 / (column.density.flat[0] * width)
     X, gravity = column.frame.space.positions, np.array([0.0, -g, 0.0])
-    x, report = Equilibrium().loaded(column, X, gravity)
+    x, _ = Equilibrium().loaded(column, X, gravity)
     matrix, _ = column.linearised(X, x, column.dilation(X, x), in_plane=True)
     assert np.linalg.eigvalsh(matrix.toarray())[0] > 0.0
     assert np.abs(x - X)[:, 0].max() > 5.0
-    assert any("unstable" in line for line in report.history)
 
 
 def test_an_image_that_is_no_stable_equilibrium_is_told(rectangle, body_on):
