@@ -17,16 +17,16 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
+from cicatrix.cases.laws import GROWTHS, LAWS, key_of, law_of
 from cicatrix.core.units import inner_per_typed
-from cicatrix.io.cases import load_case
+from cicatrix.kinds.material_point.case import PointCase
+from cicatrix.kinds.registry import load_case
 from cicatrix.materials.constituent import Constituent
 from cicatrix.materials.fibres import ORIENTATIONS, WAVINESSES, FibreViscosity
 from cicatrix.materials.mixture import FORMS
 from cicatrix.materials.viscoelastic import Viscoelastic
 from cicatrix.mechanics.point import Control, control, history
 from cicatrix.mechanics.point_walk import instants
-from cicatrix.study.laws import GROWTHS, LAWS, key_of, law_of
-from cicatrix.study.point_case import PointCase
 
 DOCS = Path(__file__).parent
 EXAMPLES = DOCS.parent / "examples" / "laws"

@@ -8,10 +8,10 @@ import skfem
 
 from cicatrix.geometry.labels import TISSUES, Label
 from cicatrix.geometry.volume import Volume
+from cicatrix.kinds.lumpectomy.body import Anatomy
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.body import Body, Frame
 from cicatrix.mechanics.space import Space
-from cicatrix.study.plans import Anatomy
 
 gc.set_threshold(
     50_000, 20, 50

@@ -12,12 +12,12 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 from cicatrix.coupling.cycle import run
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
-from cicatrix.io.lumpectomy_run import anatomy_of
-from cicatrix.study.lumpectomy import healing_cycle, last_cycle
-from cicatrix.study.prepare import prepare
-from cicatrix.study.summary import history_row
+from cicatrix.kinds.lumpectomy.anatomy import anatomy_of
+from cicatrix.kinds.lumpectomy.build import healing_cycle, last_cycle
+from cicatrix.kinds.lumpectomy.prepare import prepare
+from cicatrix.kinds.lumpectomy.summary import history_row
+from cicatrix.kinds.registry import load_case
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 MRI = {23.0: 1.0, 32.0: 0.60, 39.0: 0.48, 45.0: 0.40}  # day after surgery: volume over that of the first image

@@ -23,13 +23,13 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from scipy.spatial import cKDTree
 from skfem.quadrature import get_quadrature
 
+from cicatrix.cases.paths import data_folder
 from cicatrix.geometry.tetrahedra import EDGES, boundary, neighbours, oriented, volumes, with_middles
-from cicatrix.io.claims import print_claims
-from cicatrix.io.paths import data_folder
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.body import Body, Frame
 from cicatrix.mechanics.contact import Contact, Plate
 from cicatrix.mechanics.space import SolidSpace, tabulate
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 FOLDER = "fe_reference_breastct3"

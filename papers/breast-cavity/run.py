@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import cicatrix
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
+from cicatrix.kinds.registry import load_case
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 MRI = {23.0: 1.0, 32.0: 0.60, 39.0: 0.48, 45.0: 0.40}  # day after surgery: volume over that of the first image

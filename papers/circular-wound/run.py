@@ -10,8 +10,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import cicatrix
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
+from cicatrix.kinds.registry import load_case
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 RUNS = {

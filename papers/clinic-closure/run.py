@@ -10,7 +10,7 @@ import numpy as np
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton
 from cicatrix.healing.rates import LAYER_UM, P_EDGE, P_LAYER, hours_per_step_at_pitch, rules_at_pitch
-from cicatrix.io.claims import print_claims
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 SEEDS = range(5)

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from cicatrix.core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2
-from cicatrix.io import figures
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
-from cicatrix.io.lumpectomy_run import anatomy_of
-from cicatrix.study.prepare import loaded_in, prepare
-from cicatrix.study.summary import edge_profile
+from cicatrix.kinds.lumpectomy import figures_section as figures
+from cicatrix.kinds.lumpectomy.anatomy import anatomy_of
+from cicatrix.kinds.lumpectomy.prepare import loaded_in, prepare
+from cicatrix.kinds.lumpectomy.summary import edge_profile
+from cicatrix.kinds.registry import load_case
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 ANGLES = (0, 60, 120, 180, 240, 300)  # of gravity in the section: 0 = towards her left, 90 = posterior

@@ -10,14 +10,14 @@ import numpy as np
 
 from cicatrix.coupling.cycle import HealingCycle, run
 from cicatrix.geometry.hexgrid import Lattice
-from cicatrix.io import figures
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
-from cicatrix.io.lumpectomy_run import anatomy_of
+from cicatrix.kinds.lumpectomy import figures_section as figures
+from cicatrix.kinds.lumpectomy.anatomy import anatomy_of
+from cicatrix.kinds.lumpectomy.build import last_cycle
+from cicatrix.kinds.lumpectomy.prepare import prepare, reseeded
+from cicatrix.kinds.lumpectomy.summary import history_row
+from cicatrix.kinds.registry import load_case
 from cicatrix.outcome import closure
-from cicatrix.study.lumpectomy import last_cycle
-from cicatrix.study.prepare import prepare, reseeded
-from cicatrix.study.summary import history_row
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 SEEDS = range(1, 6)

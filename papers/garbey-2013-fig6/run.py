@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 
 from cicatrix.coupling.cycle import run
-from cicatrix.io import figures
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
-from cicatrix.io.lumpectomy_run import anatomy_of
-from cicatrix.study.lumpectomy import last_cycle
-from cicatrix.study.prepare import prepare, reseeded
+from cicatrix.kinds.lumpectomy import figures_section as figures
+from cicatrix.kinds.lumpectomy.anatomy import anatomy_of
+from cicatrix.kinds.lumpectomy.build import last_cycle
+from cicatrix.kinds.lumpectomy.prepare import prepare, reseeded
+from cicatrix.kinds.registry import load_case
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 SEEDS = range(1, 6)

@@ -9,11 +9,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
+from cicatrix.cases.laws import law_of
+from cicatrix.kinds.material_point.build import control_of, first_of_last_cycle, instants_of, work
+from cicatrix.kinds.registry import load_case
 from cicatrix.mechanics.point_walk import lead
-from cicatrix.study.laws import law_of
-from cicatrix.study.point import control_of, first_of_last_cycle, instants_of, work
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 SLOWER = {"slow": 100.0, "middle": 1.0, "fast": 0.01}  # times the period of the case

@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
+from cicatrix.cases.laws import law_of
+from cicatrix.kinds.material_point.build import control_of, instants_of
+from cicatrix.kinds.material_point.case import PointCase
+from cicatrix.kinds.registry import load_case
 from cicatrix.mechanics.point_walk import lead
-from cicatrix.study.laws import law_of
-from cicatrix.study.point import control_of, instants_of
-from cicatrix.study.point_case import PointCase
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 COLOURS = {"lambda": "#000000", "elastic": "#0072b2", "growth": "#d55e00"}

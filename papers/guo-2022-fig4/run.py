@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 import cicatrix
 from cicatrix.biology.adhesion import Adhesion, anchored
 from cicatrix.biology.contraction import ConstantForce
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
-from cicatrix.study.adhesion import adhesion_of
-from cicatrix.study.adhesion_case import AdhesionCase
-from cicatrix.study.adhesion_summary import mean_course
+from cicatrix.kinds.adhesion.build import law_and_notes
+from cicatrix.kinds.adhesion.case import AdhesionCase
+from cicatrix.kinds.adhesion.summary import mean_course
+from cicatrix.kinds.registry import load_case
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 FEEDBACK, HELD = "#0072b2", "#d55e00"
@@ -44,11 +44,11 @@ def measure(overrides: Sequence[str] = ()) -> dict[str, dict[str, np.ndarray]]:
     """Steady states with feedback and without, those on collagen, and the case's own samples beside their mean."""
     case = load_case(HERE / "case.toml", overrides)
     assert isinstance(case, AdhesionCase)
-    law, _ = adhesion_of(case)
+    law, _ = law_and_notes(case)
     given = case.substrate.stretch
     stretch = np.linspace(min(given), max(given), 41)
     feedback = curves(law, stretch)
-    fibre, _ = adhesion_of(load_case(HERE / "case.toml", [*overrides, "law=[]", f"substrate={COLLAGEN}"]))
+    fibre, _ = law_and_notes(load_case(HERE / "case.toml", [*overrides, "law=[]", f"substrate={COLLAGEN}"]))
     history = cicatrix.simulate(case).history
     times, mean = mean_course(case, law)
     n_bonds = np.array(case.method.n_integrins * case.n_cells)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 
 import cicatrix
-from cicatrix.io.cases import load_case
-from cicatrix.io.claims import print_claims
-from cicatrix.io.figures_tissue_cell import chain_figure
+from cicatrix.kinds.registry import load_case
+from cicatrix.kinds.tissue_cell.figures import chain_figure
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 NUMB = "signal.threshold_kPa=1e6"  # cells that adhere and pull as the others, and do not heed it

@@ -17,7 +17,7 @@ from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton
 from cicatrix.healing.model import Cue
 from cicatrix.healing.rules import AutomatonRules
-from cicatrix.io.claims import print_claims
+from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 SEEDS = range(1, 6)

@@ -9,13 +9,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .io.cases import load_case
-    from .io.runs import simulate
+    from .kinds.registry import load_case
+    from .kinds.simulate import simulate
 
-__version__ = "0.1.0"
+from .core.version import __version__
+
 __all__ = ["__version__", "load_case", "simulate"]
 
-HOMES = {"load_case": "cicatrix.io.cases", "simulate": "cicatrix.io.runs"}
+HOMES = {"load_case": "cicatrix.kinds.registry", "simulate": "cicatrix.kinds.simulate"}
 
 
 def __getattr__(name: str) -> Any:

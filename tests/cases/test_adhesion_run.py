@@ -13,12 +13,12 @@ import cicatrix
 from cicatrix.biology.adhesion import anchored
 from cicatrix.cli.main import main
 from cicatrix.core.errors import ConvergenceError
-from cicatrix.io import adhesion_run
-from cicatrix.io.cases import check_case, load_case
-from cicatrix.io.progress import Progress
+from cicatrix.kinds.adhesion import run as adhesion_run
+from cicatrix.kinds.adhesion.build import law_and_notes
+from cicatrix.kinds.registry import check_case, load_case
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.study.adhesion import adhesion_of
-from cicatrix.study.uniaxial import Tension
+from cicatrix.mechanics.uniaxial import Tension
+from cicatrix.runs.progress import Progress
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "adhesion"
 COLUMNS = ["step", "time_s", "stretch", "bound_fraction", "bound_fraction_sd", "force_pN", "traction_kPa"]
@@ -105,7 +105,7 @@ def test_samples_follow_a_substrate_that_yields(settings, case_file, no_pictures
 
 def test_mean_field_on_a_substrate_that_yields(case_file, no_pictures):
     case = load_case(case_file, [SOLID, "method.duration_s=300.0"])
-    law, _ = adhesion_of(case)
+    law, _ = law_and_notes(case)
     tau = 1e6 * (1 / 8e3 + 1 / 8e4)
 
     def rate(t, phi):
@@ -161,7 +161,7 @@ NEO = "substrate={type='neo-hookean', mu_kPa=10.0, area_um2=0.017, length_um=0.1
 def test_tissue_as_substrate(case_file):
     """Incompressible neo-Hookean by hand: P = mu (l - l^-2), P' = mu (1 + 2 l^-3); pulled by 7 pN at 0.017 um^2."""
     case = load_case(case_file, [NEO, "cell.force_pN=7.0"])
-    law, notes = adhesion_of(case)
+    law, notes = law_and_notes(case)
     assert "tabulated in uniaxial tension" in notes[0]
     at = anchored(law, np.array([1.0, 1.3]))
     mu = 1e4  # pN/um^2
@@ -172,7 +172,7 @@ def test_tissue_as_substrate(case_file):
     same = load_case(
         case_file, ["substrate={type='law', area_um2=0.017, length_um=0.1, stretch=[1.0, 1.3]}", *two(5.0)]
     )
-    np.testing.assert_allclose(anchored(adhesion_of(same)[0], np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
+    np.testing.assert_allclose(anchored(law_and_notes(same)[0], np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
 
 
 def two(mu):
@@ -332,7 +332,7 @@ def test_outcome_is_plain(case_file, tmp_path, no_pictures):
 @pytest.mark.parametrize(("dt", "chance"), [("10.0", "0.19"), ("1.0", None)])
 def test_long_steps_are_noted(dt, chance, case_file):
     """By hand: 1 - exp(-10 * 0.012 exp(49 / 2e4 / kT)) = 0.19."""
-    _, notes = adhesion_of(load_case(case_file, [*STEPS, f"method.dt_s={dt}"]))
+    _, notes = law_and_notes(load_case(case_file, [*STEPS, f"method.dt_s={dt}"]))
     words = (
         f"A bond switches with a chance of {chance} in one step of {dt[:-2]} s: a shorter method.dt_s is more exact."
     )

@@ -13,9 +13,9 @@ from cicatrix.core.errors import InputError
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import NativeCore
 from cicatrix.healing.twin import TwinCore
-from cicatrix.io.cases import check_case, load_case
-from cicatrix.io.progress import Progress
-from cicatrix.study.automaton import automaton_of, inradius_um
+from cicatrix.kinds.automaton.build import automaton_of, inradius_um
+from cicatrix.kinds.registry import check_case, load_case
+from cicatrix.runs.progress import Progress
 
 DISC = """
 kind = "automaton"

@@ -3,8 +3,8 @@
 import pytest
 
 from cicatrix.core import units
-from cicatrix.study.case import Image, LumpectomyCase, Tissue, Tumour
-from cicatrix.study.sources import SOURCES, keys, sources_of, value_at
+from cicatrix.kinds.lumpectomy.case import Image, LumpectomyCase, Tissue, Tumour
+from cicatrix.kinds.lumpectomy.sources import SOURCES, keys, value_at
 
 CASE = LumpectomyCase(image=Image(phantom="half-ellipsoid"))
 
@@ -16,8 +16,8 @@ def test_every_tissue_and_healing_number_has_a_source():
 
 def test_changed_value_is_not_given_the_source_of_the_default():
     case = CASE.model_copy(update={"tissue": Tissue(tumour=Tumour(E_kPa=30.0))})
-    assert sources_of(case)["tissue.tumour.E_kPa"] == "given by the case"
-    assert "6 times gland" in sources_of(CASE)["tissue.tumour.E_kPa"]
+    assert case.sources()["tissue.tumour.E_kPa"] == "given by the case"
+    assert "6 times gland" in CASE.sources()["tissue.tumour.E_kPa"]
 
 
 def test_defaults_follow_their_sources():

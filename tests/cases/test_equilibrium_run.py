@@ -9,7 +9,7 @@ import cicatrix
 from cicatrix.cli.main import main
 from cicatrix.core.errors import InputError
 from cicatrix.geometry.tetrahedra import oriented, with_middles
-from cicatrix.io.cases import load_case
+from cicatrix.kinds.registry import load_case
 
 CASE = """
 kind = "equilibrium"

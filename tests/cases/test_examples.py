@@ -6,8 +6,8 @@ from pathlib import Path
 import pytest
 
 import cicatrix
+from cicatrix.cases.paths import data_folder
 from cicatrix.core.errors import InputError
-from cicatrix.io.paths import data_folder
 
 EXAMPLES = sorted((Path(__file__).parents[2] / "examples").glob("lumpectomy-*.toml"))
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import cicatrix
-from cicatrix.study.laws import GROWTHS, LAWS
+from cicatrix.cases.laws import GROWTHS, LAWS
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = sorted((ROOT / "examples" / "laws").glob("*.toml"))

@@ -7,10 +7,10 @@ import skfem
 import cicatrix
 from cicatrix.cli.main import main
 from cicatrix.core.errors import InputError
+from cicatrix.files.vtu import write_vtu
 from cicatrix.geometry.tetrahedra import oriented
-from cicatrix.io import equilibrium_march
-from cicatrix.io.cases import check_case, load_case
-from cicatrix.io.fields import write_vtu
+from cicatrix.kinds.equilibrium import history as equilibrium_march
+from cicatrix.kinds.registry import check_case, load_case
 
 BODY = """
 kind = "equilibrium"

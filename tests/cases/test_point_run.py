@@ -9,16 +9,17 @@ import pytest
 from maxwell_fibre import MaxwellFibre
 
 import cicatrix
+from cicatrix.cases.laws import law_of
+from cicatrix.cases.reading import case_table
 from cicatrix.cli.main import main
-from cicatrix.io import point_run
-from cicatrix.io.cases import case_table, check_case, load_case
-from cicatrix.io.progress import Progress
+from cicatrix.kinds.material_point import run as point_run
+from cicatrix.kinds.material_point.build import control_of
+from cicatrix.kinds.registry import check_case, load_case
 from cicatrix.materials.compose import Sum
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.point_walk import soft_axes
-from cicatrix.study.laws import law_of
-from cicatrix.study.point import control_of
+from cicatrix.runs.progress import Progress
 
 LAW = """
 kind = "material-point"

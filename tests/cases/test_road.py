@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import cicatrix
+from cicatrix.files.images import read_labels, write_volume
 from cicatrix.image.phantom import phantom
-from cicatrix.io.images import read_labels, write_volume
 
 CASE = """
 kind = "lumpectomy"

@@ -9,9 +9,9 @@ import pytest
 
 import cicatrix
 from cicatrix.cli.main import main
-from cicatrix.io.cases import check_case, load_case
-from cicatrix.io.history import read_history
-from cicatrix.io.progress import Progress
+from cicatrix.files.history import read_history
+from cicatrix.kinds.registry import check_case, load_case
+from cicatrix.runs.progress import Progress
 
 pytestmark = pytest.mark.xdist_group("signalling networks")
 ROOT = Path(__file__).parents[2]

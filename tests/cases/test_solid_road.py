@@ -12,14 +12,14 @@ import pytest
 
 import cicatrix
 from cicatrix.core.errors import InputError
+from cicatrix.files.images import write_volume
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.volume import Volume
-from cicatrix.io.images import write_volume
-from cicatrix.io.lumpectomy_run import anatomy_of
-from cicatrix.io.progress import Progress
-from cicatrix.io.results import read_results
-from cicatrix.study import plans
-from cicatrix.study.lumpectomy import plan
+from cicatrix.kinds.lumpectomy import body as plans
+from cicatrix.kinds.lumpectomy.anatomy import anatomy_of
+from cicatrix.kinds.lumpectomy.build import plan
+from cicatrix.runs.progress import Progress
+from cicatrix.runs.results import read_results
 
 pytestmark = pytest.mark.xdist_group("solid road")  # healed once
 

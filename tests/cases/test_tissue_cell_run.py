@@ -10,10 +10,10 @@ from scipy.optimize import brentq
 import cicatrix
 from cicatrix.cli.main import main
 from cicatrix.core.errors import ConvergenceError, InputError
-from cicatrix.io import tissue_cell_run
-from cicatrix.io.cases import check_case, load_case
-from cicatrix.io.tissue_cell_run import network_of
-from cicatrix.study.tissue_cell import model_of
+from cicatrix.kinds.registry import check_case, load_case
+from cicatrix.kinds.tissue_cell import run as tissue_cell_run
+from cicatrix.kinds.tissue_cell.build import model_of
+from cicatrix.kinds.tissue_cell.run import network_of
 
 pytestmark = pytest.mark.xdist_group("tissue-cell")  # compiled once
 

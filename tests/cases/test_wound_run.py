@@ -10,10 +10,10 @@ import skfem
 
 import cicatrix
 from cicatrix.core.errors import ConvergenceError, InputError
+from cicatrix.files.vtu import write_vtu
 from cicatrix.geometry.tetrahedra import oriented
-from cicatrix.io import wound_run
-from cicatrix.io.cases import check_case
-from cicatrix.io.fields import write_vtu
+from cicatrix.kinds.registry import check_case
+from cicatrix.kinds.wound import run as wound_run
 
 pytestmark = pytest.mark.xdist_group("wound")  # compiled once
 EXAMPLE = Path(__file__).parents[2] / "examples" / "wound.toml"

@@ -10,8 +10,8 @@ import numpy as np
 import cicatrix
 from cicatrix.cli import main
 from cicatrix.core.errors import ConvergenceError, InputError
-from cicatrix.io.cases import case_table, input_files
-from cicatrix.io.results import Quantity, RunFolder, read_results
+from cicatrix.cases.reading import case_table, input_files
+from cicatrix.runs.results import Quantity, RunFolder, read_results
 
 ENDS = {
     "input": InputError("the image holds\nno breast"),

@@ -7,7 +7,7 @@ import pytest
 
 import cicatrix
 from cicatrix.cli.main import main
-from cicatrix.io.toml import toml_text
+from cicatrix.files.toml import toml_text
 
 CASE = """kind = "material-point"
 [[law]]

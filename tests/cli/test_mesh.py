@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from cicatrix.cli.main import main
+from cicatrix.files.images import write_volume
+from cicatrix.files.meshes import read_body
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.tetrahedra import volumes
 from cicatrix.geometry.volume import Volume
-from cicatrix.io.images import write_volume
-from cicatrix.io.meshes import read_body
 
 
 @pytest.fixture(scope="module")

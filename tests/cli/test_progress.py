@@ -7,7 +7,7 @@ import pytest
 from rich.console import Console
 
 from cicatrix.cli.progress import BarProgress, PlainProgress
-from cicatrix.io.progress import Progress
+from cicatrix.runs.progress import Progress
 
 
 def test_stages_add_up():

@@ -5,14 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from cicatrix.cases.continuum import ParametersTable
 from cicatrix.core.units import seconds_from_days
-from cicatrix.coupling.by_fields import CLOSED
+from cicatrix.coupling.continuum import CLOSED
 from cicatrix.coupling.cycle import run
-from cicatrix.io.wound_states import course_arrays, course_from, course_scalars
+from cicatrix.healing.continuum import course_arrays, course_from, course_scalars
+from cicatrix.kinds.lumpectomy.build import equilibrium_of, healing_cycle, plan
+from cicatrix.kinds.lumpectomy.case import (
+    Coupling,
+    Healing,
+    Image,
+    LumpectomyCase,
+    Mesh,
+    Outcome,
+    Resection,
+    Scar,
+    Tissue,
+    Tumour,
+)
 from cicatrix.mechanics.equilibrium import Equilibrium
-from cicatrix.study.case import Coupling, Healing, Image, LumpectomyCase, Mesh, Outcome, Resection, Scar, Tissue, Tumour
-from cicatrix.study.lumpectomy import equilibrium_of, healing_cycle, plan
-from cicatrix.study.wound_case import ParametersTable
 
 pytestmark = pytest.mark.xdist_group("cycle")  # compiled once
 CALM = {"t_rho_MPa": 0.0, "t_rho_c_MPa": 0.0}  # cells do not pull

@@ -7,11 +7,11 @@ import pytest
 
 from cicatrix.coupling.cycle import WELL_FILLED, run
 from cicatrix.coupling.deposition import Deposition
+from cicatrix.kinds.lumpectomy.build import equilibrium_of, healing_cycle, plan
+from cicatrix.kinds.lumpectomy.case import Coupling, Healing, Image, LumpectomyCase, Mesh, Resection, Run
 from cicatrix.mechanics.body import compiled_variants, deformation_gradients
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.outcome import closure
-from cicatrix.study.case import Coupling, Healing, Image, LumpectomyCase, Mesh, Resection, Run
-from cicatrix.study.lumpectomy import equilibrium_of, healing_cycle, plan
 
 pytestmark = pytest.mark.xdist_group("cycle")  # compiled once
 

@@ -5,9 +5,10 @@ from pathlib import Path
 
 import pytest
 
+from cicatrix.cases.reading import apply_overrides, case_table, input_files
 from cicatrix.core.errors import InputError
-from cicatrix.io.cases import apply_overrides, case_table, check_case, input_files, load_case
-from cicatrix.study.case import LumpectomyCase
+from cicatrix.kinds.lumpectomy.case import LumpectomyCase
+from cicatrix.kinds.registry import check_case, load_case
 
 # The example of the interface page, word for word.
 INTERFACE_EXAMPLE = """\

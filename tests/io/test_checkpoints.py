@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import InputError
-from cicatrix.io.checkpoints import load_checkpoint, npz_bytes, save_checkpoint
+from cicatrix.runs.checkpoints import load_checkpoint, npz_bytes, save_checkpoint
 
 ARRAYS = {"b": np.linspace(0, 1, 7), "a": np.array([[True, False]]), "n": np.array(3)}
 
@@ -68,7 +68,8 @@ KILLED = """
 import os, signal, sys
 from pathlib import Path
 import numpy as np
-from cicatrix.io import atomic, checkpoints
+from cicatrix.files import atomic
+from cicatrix.runs import checkpoints
 folder, after = Path(sys.argv[1]), int(sys.argv[2])
 checkpoints.save_checkpoint(folder, 1, {"a": np.arange(10)})
 count = 0

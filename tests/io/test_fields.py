@@ -6,7 +6,7 @@ import meshio
 import numpy as np
 import pytest
 
-from cicatrix.io.fields import Frame, read_series, write_series, write_vtu
+from cicatrix.files.vtu import Frame, read_series, write_series, write_vtu
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 MIDDLES = np.array([[0.5, 0.0], [0.5, 0.5], [0.0, 0.5]])

@@ -45,8 +45,8 @@ def test_decisions_are_numbered_once():
 
 
 def test_names_of_the_package():
-    assert cicatrix.load_case.__module__ == "cicatrix.io.cases"
-    assert cicatrix.simulate.__module__ == "cicatrix.io.runs"
+    assert cicatrix.load_case.__module__ == "cicatrix.kinds.registry"
+    assert cicatrix.simulate.__module__ == "cicatrix.kinds.simulate"
     with pytest.raises(AttributeError, match="no attribute 'heal'"):
         _ = cicatrix.heal  # pyright: ignore
 

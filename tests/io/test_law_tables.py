@@ -7,13 +7,13 @@ import math
 import pytest
 from pydantic import ValidationError, create_model
 
+from cicatrix.cases.laws import LAWS, union_of
+from cicatrix.cases.reading import _sentence
+from cicatrix.cases.table import Table
 from cicatrix.core.errors import InputError
 from cicatrix.core.law import Law, choice, param
-from cicatrix.io.cases import _sentence
 from cicatrix.materials.material import EnergyMaterial, has_bulk_modulus
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.study.laws import LAWS, union_of
-from cicatrix.study.table import Table
 
 
 class Even(Law):

@@ -11,9 +11,9 @@ import pytest
 from matplotlib.figure import Figure
 
 from cicatrix.core.errors import ConvergenceError, InputError
-from cicatrix.io.history import read_history
-from cicatrix.io.progress import Progress
-from cicatrix.io.results import Quantity, RunFolder, read_results
+from cicatrix.files.history import read_history
+from cicatrix.runs.progress import Progress
+from cicatrix.runs.results import Quantity, RunFolder, read_results
 
 mpl.use("Agg")
 CASE = {"kind": "lumpectomy", "run": {"seed": 1, "max_weeks": 52.0}}
@@ -208,7 +208,7 @@ import os, signal, sys
 sys.path.insert(0, sys.argv[1])
 import test_run_folder as t
 from pathlib import Path
-from cicatrix.io import atomic
+from cicatrix.files import atomic
 force = atomic._force_to_disk
 for flushes in range(100):
     count = 0

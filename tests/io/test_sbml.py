@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from cicatrix.cli.bench_networks import HOUR, Sets, network, numpy_rate, sbml_text
+from cicatrix.bench.networks import HOUR, Sets, network, numpy_rate, sbml_text
 from cicatrix.core.errors import InputError
-from cicatrix.io.sbml import MISSING, read_sbml
+from cicatrix.files.sbml import MISSING, read_sbml
 
 HERE = Path(__file__).parent / "sbml"
 try:

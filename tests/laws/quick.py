@@ -4,6 +4,6 @@ from functools import partial
 
 import jax
 
-from cicatrix.core.compiler import COMPILER
+from cicatrix.numerics.compiler import COMPILER
 
 compiled = partial(jax.jit, compiler_options={**COMPILER, "xla_backend_optimization_level": 0})

@@ -11,7 +11,7 @@ from cicatrix.biology.contraction import ConstantForce, Feedback
 from cicatrix.biology.substrate import Column, ExponentialFibre, LinearSubstrate, TabulatedCurve
 from cicatrix.biology.viscoelastic_substrate import StandardLinearSolid
 from cicatrix.core.errors import InputError
-from cicatrix.core.roots import rising_root
+from cicatrix.numerics.roots import rising_root
 
 pulled = jax.jit(lambda substrate, contraction, stretch, time: substrate.pulled(contraction, stretch, time))
 BELL = Bell(0.01, 0.012)

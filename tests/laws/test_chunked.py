@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from quick import compiled
 
-from cicatrix.cli import bench_laws
-from cicatrix.cli.measurement import printed_on_one_core
+from cicatrix.bench import laws as bench_laws
+from cicatrix.bench.measurement import printed_on_one_core
+from cicatrix.cases.laws import LAWS
 from cicatrix.core.errors import CicatrixError, InputError
 from cicatrix.materials.chunked import chunked
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.materials.orientation import Single
-from cicatrix.study.laws import LAWS
 
 F = bench_laws.gradients(23)
 

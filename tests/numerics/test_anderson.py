@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cicatrix.core.anderson import Anderson
+from cicatrix.numerics.anderson import Anderson
 
 
 def test_a_linear_map_of_three_rates_is_done_in_five_steps():

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from cicatrix.core.bdf import LONGEST_RISE, formula, next_step
+from cicatrix.numerics.bdf import LONGEST_RISE, formula, next_step
 
 
 def test_equal_steps_are_the_textbook():

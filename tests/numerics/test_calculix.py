@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 import skfem
 
+from cicatrix.files.calculix import calculix_deck, calculix_displacements
 from cicatrix.geometry.tetrahedra import oriented, used_only
-from cicatrix.io.calculix import calculix_deck, calculix_displacements
 from cicatrix.mechanics.equilibrium import Equilibrium
-from cicatrix.study.equilibrium import solid_body
+from cicatrix.mechanics.solids import solid_body
 
 pytestmark = pytest.mark.skipif(
     shutil.which("ccx") is None, reason="CalculiX is not there: apt-get install calculix-ccx"

@@ -4,7 +4,6 @@ import jax
 import numpy as np
 import pytest
 
-from cicatrix.core.compiler import COMPILER
 from cicatrix.core.scatter import contracted
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.body import deformation_gradients
@@ -20,6 +19,7 @@ from cicatrix.mechanics.elements import (
     wrinkling_strain,
 )
 from cicatrix.mechanics.equilibrium import Equilibrium
+from cicatrix.numerics.compiler import COMPILER
 
 SIDE = 10.0
 

@@ -7,11 +7,12 @@ import pytest
 import scipy.sparse as sp
 from scipy.linalg import block_diag
 
-from cicatrix.core import factors, linear, scatter
-from cicatrix.core.linear import LinearSolver, conjugate_gradients, gmres
+from cicatrix.core import scatter
 from cicatrix.core.native import add_blocks, add_contracted, turn_blocks
-from cicatrix.core.workers import in_order
 from cicatrix.mechanics.pattern import Pattern
+from cicatrix.numerics import factors, linear
+from cicatrix.numerics.linear import LinearSolver, conjugate_gradients, gmres
+from cicatrix.numerics.workers import in_order
 
 N_NODES = 40
 

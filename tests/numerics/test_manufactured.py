@@ -8,9 +8,9 @@ import scipy.sparse.linalg
 import skfem
 from skfem.quadrature import get_quadrature
 
-from cicatrix.core.compiler import COMPILER
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.space import tabulate
+from cicatrix.numerics.compiler import COMPILER
 
 pytestmark = pytest.mark.xdist_group("manufactured")  # measured once
 

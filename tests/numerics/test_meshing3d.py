@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import InputError
+from cicatrix.files.images import read_image, read_labels
 from cicatrix.geometry import meshing3d
 from cicatrix.geometry.bcc import bcc_lattice
 from cicatrix.geometry.isosurface import isosurface, segmented_body
@@ -18,7 +19,6 @@ from cicatrix.geometry.tetrahedra import area_vectors, boundary, dihedral_angles
 from cicatrix.geometry.volume import Volume
 from cicatrix.image.phantom import phantom
 from cicatrix.image.segment import segment
-from cicatrix.io.images import read_image, read_labels
 
 DATA = Path(os.environ.get("CICATRIX_DATA", Path(__file__).parents[3] / "shared" / "data"))
 RADIUS, CENTRE = 16.2, np.array([1.3, -2.1, 0.7])  # mm, off the voxel grid

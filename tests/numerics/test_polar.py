@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from cicatrix.core.polar import right_stretch
+from cicatrix.numerics.polar import right_stretch
 
 rng = np.random.default_rng(5)
 GENERAL = np.eye(3) + 0.4 * rng.uniform(-1, 1, (20, 3, 3))

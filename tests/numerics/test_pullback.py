@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import skfem
 
-from cicatrix.core.linear import conjugate_gradients
 from cicatrix.geometry.tetrahedra import oriented, used_only
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.pullback import Pullback, nodal_deformation
-from cicatrix.study.equilibrium import solid_body
+from cicatrix.mechanics.solids import solid_body
+from cicatrix.numerics.linear import conjugate_gradients
 
 TURN = np.array([[0.0, -1.0, 0.0], [0.6, 0.0, -0.8], [0.8, 0.0, 0.6]])  # by 107 degrees
 SIDEWAYS = np.array([0.0, -9810.0, 0.0])

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import InputError
-from cicatrix.core.signals import TAKEN
+from cicatrix.core.posix_signals import TAKEN
 from cicatrix.geometry.labels import TISSUES, Label
 from cicatrix.geometry.meshing import label_borders, mesh_section
 from cicatrix.geometry.section import Section
 from cicatrix.geometry.volume import Volume
-from cicatrix.study.case import Image, LumpectomyCase, Mesh, Outcome, Resection
-from cicatrix.study.lumpectomy import plan
+from cicatrix.kinds.lumpectomy.build import plan
+from cicatrix.kinds.lumpectomy.case import Image, LumpectomyCase, Mesh, Outcome, Resection
 
 RADIUS, CAVITY, CENTRE = 20.0, 8.0, np.array([0.0, -10.0])
 

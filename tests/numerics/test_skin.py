@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import skfem
 
-from cicatrix.core.compiler import COMPILER
 from cicatrix.geometry.tetrahedra import oriented, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.body import Body, Frame
@@ -21,6 +20,7 @@ from cicatrix.mechanics.elements import (
 )
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.space import SolidSpace
+from cicatrix.numerics.compiler import COMPILER
 
 MU, THICKNESS, LIMIT = 5.0, 1.5, 0.08
 FILM_E, FAT_E = 56.0, 3.25  # kPa

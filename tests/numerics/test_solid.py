@@ -7,8 +7,6 @@ import pytest
 import skfem
 from skfem.quadrature import get_quadrature
 
-from cicatrix.core.compiler import COMPILER
-from cicatrix.core.linear import LinearSolver
 from cicatrix.core.scatter import contracted
 from cicatrix.geometry.tetrahedra import boundary, oriented, unmirrored, volumes, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
@@ -25,6 +23,8 @@ from cicatrix.mechanics.elements import (
 )
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.space import SolidSpace, tabulate
+from cicatrix.numerics.compiler import COMPILER
+from cicatrix.numerics.linear import LinearSolver
 
 pytestmark = pytest.mark.xdist_group("solid")  # measured once
 

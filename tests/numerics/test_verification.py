@@ -4,13 +4,13 @@ import numpy as np
 import pytest
 import skfem
 
-from cicatrix.core.linear import LinearSolver
 from cicatrix.geometry.tetrahedra import oriented, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.body import Body, Frame
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.space import SolidSpace
 from cicatrix.mechanics.supports import walls
+from cicatrix.numerics.linear import LinearSolver
 
 NU = 0.4999
 INNER, OUTER = 10.0, 20.0  # mm

@@ -9,7 +9,7 @@ import skfem
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.tetrahedra import oriented
 from cicatrix.geometry.volume import Volume
-from cicatrix.io.results import Quantity, RunFolder
+from cicatrix.runs.results import Quantity, RunFolder
 
 SIDE = 40.0  # mm
 CENTRE, RADIUS, MARGIN = (20.0, 20.0, 20.0), 8.0, 3.0

@@ -11,8 +11,8 @@ import pytest
 from matplotlib import image
 
 from cicatrix.cli.plan import build_table
+from cicatrix.files.images import write_volume
 from cicatrix.image.phantom import phantom
-from cicatrix.io.images import write_volume
 from cicatrix.pages.report import write_comparison, write_report
 from cicatrix.pages.server import Planner, PlanServer
 

@@ -15,11 +15,11 @@ import pytest
 from cicatrix.cli.main import main
 from cicatrix.cli.plan import build_table
 from cicatrix.core.errors import InputError
+from cicatrix.files.images import read_thinned, write_volume
+from cicatrix.files.pictures import picture
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.volume import Volume
-from cicatrix.io.cases import load_case
-from cicatrix.io.images import read_thinned, write_volume
-from cicatrix.io.pictures import picture
+from cicatrix.kinds.registry import load_case
 from cicatrix.pages.planning import PlanningTable, Wish, save_case
 from cicatrix.pages.server import MOST_BYTES, Planner, PlanServer
 

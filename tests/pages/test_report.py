@@ -13,8 +13,7 @@ from matplotlib.figure import Figure
 
 from cicatrix.cli.main import main
 from cicatrix.core.errors import InputError
-from cicatrix.io.images import read_image, read_labels
-from cicatrix.io.results import RunFolder
+from cicatrix.files.images import read_image, read_labels
 from cicatrix.pages.account import read_account
 from cicatrix.pages.bodies import scene, shapes_of
 from cicatrix.pages.checks import checks_of
@@ -23,6 +22,7 @@ from cicatrix.pages.curves import words
 from cicatrix.pages.packing import packed
 from cicatrix.pages.report import write_comparison, write_report
 from cicatrix.pages.slices import EXCISED, MARGIN, zones
+from cicatrix.runs.results import RunFolder
 
 from .conftest import CENTRE, MARGIN as MARGIN_MM, RADIUS, SIDE, grid, write_run  # isort: skip
 

@@ -7,13 +7,13 @@ import scipy.sparse as sp
 import skfem
 
 from cicatrix.core.errors import ConvergenceError
-from cicatrix.core.krylov import Layout, PetscEngine
-from cicatrix.core.linear import LinearSolver
 from cicatrix.core.ranks import world
 from cicatrix.geometry.tetrahedra import oriented, used_only
 from cicatrix.mechanics.division import layout_of, shared
 from cicatrix.mechanics.equilibrium import Equilibrium
-from cicatrix.study.equilibrium import solid_body
+from cicatrix.mechanics.solids import solid_body
+from cicatrix.numerics.krylov import Layout, PetscEngine
+from cicatrix.numerics.linear import LinearSolver
 
 SEMI_AXES = np.array([65.0, 65.0, 50.0])  # mm
 GRAVITY = np.array([0.0, -9810.0, 0.0])  # mm/s^2

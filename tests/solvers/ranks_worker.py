@@ -16,7 +16,7 @@ from cicatrix.core.ranks import world
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton, AutomatonRules, NativeCore
 from cicatrix.healing.model import Cue
-from cicatrix.io.progress import Progress
+from cicatrix.runs.progress import Progress
 
 N_STEPS = 5
 BESIDE = 678  # edge division fills a site in the last tile of a halo, which motility then frees

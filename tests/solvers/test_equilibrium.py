@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import ConvergenceError
-from cicatrix.core.linear import LinearSolver
-from cicatrix.core.newton import NewtonReport, newton
 from cicatrix.materials.growth import NaturalConfiguration
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.equilibrium import Equilibrium, _Problem
+from cicatrix.numerics.linear import LinearSolver
+from cicatrix.numerics.newton import NewtonReport, newton
 
 WIDTH, HEIGHT = 30.0, 20.0
 DENSITY = 1e-6  # kg/mm^3

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import cicatrix
-from cicatrix.core.compiler import COMPILER
+from cicatrix.cases.laws import law_of
+from cicatrix.cases.parameters import parameters_of, replaced
 from cicatrix.core.errors import InputError
 from cicatrix.inference.fit import fit, stresses_of
-from cicatrix.study.laws import law_of
-from cicatrix.study.measured import experiment
-from cicatrix.study.parameters import parameters_of, replaced
-from cicatrix.study.point_case import PointCase
+from cicatrix.kinds.material_point.case import PointCase
+from cicatrix.kinds.material_point.measured import experiment
+from cicatrix.numerics.compiler import COMPILER
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "fit"
 LOADING = {"plane": "incompressible", "time_h": [0.0, 1.0], "x": [1.0, 1.2], "y": [1.0, 1.2]}

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 import pytest
 
-from cicatrix.core.compiler import COMPILER
+from cicatrix.cases import laws
 from cicatrix.core.units import acceleration_mm_s2
 from cicatrix.materials.active import ActiveFibres, Contraction
 from cicatrix.materials.compose import Sum
@@ -25,8 +25,8 @@ from cicatrix.materials.viscoelastic import Viscoelastic
 from cicatrix.materials.waviness import Uniform
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.march import Load, march, virgin
-from cicatrix.study import laws
-from cicatrix.study.equilibrium import solid_body
+from cicatrix.mechanics.solids import solid_body
+from cicatrix.numerics.compiler import COMPILER
 
 pytestmark = pytest.mark.xdist_group("march")  # compiled once
 

@@ -14,7 +14,7 @@ from cicatrix.biology.rules import parse_rule
 from cicatrix.biology.sensitivity import of_end, of_steady_state
 from cicatrix.biology.steady import N_TIMES, latin_hypercube, steady_states
 from cicatrix.biology.wiring import Wiring
-from cicatrix.core.ode import Accuracy
+from cicatrix.numerics.ode import Accuracy
 
 pytestmark = pytest.mark.xdist_group("signalling networks")
 EXPLICIT = Accuracy(1e-9, 1e-12, "explicit")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import ConvergenceError
-from cicatrix.core.newton import NewtonReport, newton, ramp
+from cicatrix.numerics.newton import NewtonReport, newton, ramp
 
 
 def advancing(limit: float, report: NewtonReport):

@@ -13,11 +13,11 @@ import pytest
 
 import cicatrix
 from cicatrix.cli.main import main
-from cicatrix.core import petsc
 from cicatrix.geometry.tetrahedra import oriented
-from cicatrix.io.cases import load_case
+from cicatrix.kinds.registry import load_case
 from cicatrix.mechanics.division import bisected
 from cicatrix.mechanics.equilibrium import Equilibrium
+from cicatrix.numerics import petsc
 
 BIN = Path(sys.executable).parent
 MPIEXEC = shutil.which("mpiexec.openmpi")  # of the library that Debian's PETSc is linked with

@@ -9,11 +9,8 @@ import pytest
 from jax import Array
 from maxwell_fibre import MaxwellFibre
 
-from cicatrix.core.compiler import COMPILER
 from cicatrix.core.errors import ConvergenceError
 from cicatrix.core.law import param
-from cicatrix.core.small import solve
-from cicatrix.core.tensors import det
 from cicatrix.materials.active import Contraction
 from cicatrix.materials.compose import Sum
 from cicatrix.materials.growth import NaturalConfiguration
@@ -22,6 +19,9 @@ from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics import point_walk
 from cicatrix.mechanics.point import control, history
 from cicatrix.mechanics.point_walk import instants, lead, walk
+from cicatrix.numerics.compiler import COMPILER
+from cicatrix.numerics.small import solve
+from cicatrix.numerics.tensors import det
 
 pytestmark = pytest.mark.xdist_group("point")  # compiled once
 

@@ -13,7 +13,7 @@ from ranks_worker import digests
 import cicatrix
 from cicatrix.core import native, ranks
 from cicatrix.core.errors import InputError
-from cicatrix.io.cases import load_case
+from cicatrix.kinds.registry import load_case
 
 BIN = Path(sys.executable).parent
 MPIEXEC = shutil.which("mpiexec", path=f"{BIN}{os.pathsep}{os.environ.get('PATH', '')}")
@@ -32,7 +32,7 @@ p_layer = 0.01
 max_steps = 25
 """
 
-DEMO = Path(cicatrix.__file__).parent / "study" / "demo.toml"
+DEMO = Path(cicatrix.__file__).parent / "kinds" / "lumpectomy" / "demo.toml"
 
 needs_mpi = pytest.mark.skipif(MPIEXEC is None, reason="mpiexec is not there")
 needs_native = pytest.mark.skipif(not native.is_native, reason="the compiled module is not there")

@@ -10,14 +10,14 @@ from scipy import ndimage as ndi
 
 from cicatrix.cli import segment as verb
 from cicatrix.core.errors import InputError
+from cicatrix.files.images import read_image, read_labels, write_volume
 from cicatrix.geometry.volume import Volume
 from cicatrix.image import wall
 from cicatrix.image.classify import gland_probability
 from cicatrix.image.phantom import phantom
 from cicatrix.image.segment import from_labels, segment
-from cicatrix.io.cases import load_case
-from cicatrix.io.images import read_image, read_labels, write_volume
-from cicatrix.io.lumpectomy_run import anatomy_of
+from cicatrix.kinds.lumpectomy.anatomy import anatomy_of
+from cicatrix.kinds.registry import load_case
 
 DATA = Path(os.environ.get("CICATRIX_DATA", Path(__file__).parents[3] / "shared" / "data"))
 

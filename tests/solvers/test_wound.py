@@ -15,16 +15,16 @@ from cicatrix.biology.sensing import Sensing
 from cicatrix.biology.signals import LogisticSignal, TractionSignal, Unfelt
 from cicatrix.biology.substrate import Column, ExponentialFibre
 from cicatrix.biology.turnover import Turnover
-from cicatrix.core.bdf import formula
 from cicatrix.core.errors import ConvergenceError
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton, AutomatonRules
-from cicatrix.healing.fields import Tolerance, Wound
+from cicatrix.healing.continuum import Tolerance, Wound
 from cicatrix.healing.scarring import CollagenGrowth, Contracture, Local, Scarring
 from cicatrix.healing.transport import Flow, Mobility, Transport
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.body import Body, Frame
 from cicatrix.mechanics.space import Sheet
+from cicatrix.numerics.bdf import formula
 
 pytestmark = pytest.mark.xdist_group("wound")  # compiled once
 H = 3600.0

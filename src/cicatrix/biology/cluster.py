@@ -10,7 +10,7 @@ from jax import Array, lax
 
 from ..core.law import Law, param
 from ..core.random import Phase, site_words
-from ..core.roots import rising_root
+from ..numerics.roots import rising_root
 
 SEARCHED_PN, N_SEARCHED = (1e-4, 1e6), 512  # forces of one bond, at equal ratios
 

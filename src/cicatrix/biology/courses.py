@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from ..core.ode import Accuracy, Course, course
+from ..numerics.ode import Accuracy, Course, course
 from .network import RateLaw
 
 

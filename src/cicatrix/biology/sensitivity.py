@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..core.ode import Accuracy
+from ..numerics.ode import Accuracy
 from .courses import end_of
 from .network import RateLaw
 

@@ -11,7 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..core.ode import Accuracy
+from ..numerics.ode import Accuracy
 from .courses import follow
 from .network import RateLaw
 

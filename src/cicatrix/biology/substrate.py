@@ -12,7 +12,7 @@ from jax import Array
 
 from ..core.errors import InputError
 from ..core.law import Law, param
-from ..core.roots import rising_root
+from ..numerics.roots import rising_root
 from .contraction import Contraction
 
 NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # of the stored energy along the pull

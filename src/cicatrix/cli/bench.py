@@ -6,9 +6,9 @@ import argparse
 import json
 from pathlib import Path
 
+from ..bench.benchmarks import BENCHMARKS
+from ..bench.measurement import Measurement
 from ..core.errors import InputError
-from .benchmarks import BENCHMARKS
-from .measurement import Measurement
 
 
 def add_parser(verbs: argparse._SubParsersAction) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 
-from ..io.cases import check_case
+from ..kinds.registry import check_case
 from .arguments import add_case, add_overrides
 
 

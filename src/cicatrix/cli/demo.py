@@ -7,7 +7,7 @@ from pathlib import Path
 
 import cicatrix
 
-from ..io.cases import demo_case
+from ..kinds.registry import demo_case
 from .headline import print_headline
 from .progress import make_progress
 

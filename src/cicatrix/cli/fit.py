@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..core.errors import InputError
-from ..io.cases import load_case
-from ..io.measurements import read_measurements
+from ..files.measurements import read_measurements
+from ..kinds.registry import load_case
 from .arguments import add_case, add_overrides
 
 if TYPE_CHECKING:
@@ -33,9 +33,9 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
 def run(args: argparse.Namespace) -> int:
     """Fit, write the folder, print a line per parameter."""
     from ..inference.fit import fit  # only this verb needs them, and they take a second to load
-    from ..io.fit_folder import claim_folder, write_fit
-    from ..study.measured import experiment
-    from ..study.point_case import PointCase
+    from ..inference.fit_folder import claim_folder, write_fit
+    from ..kinds.material_point.case import PointCase
+    from ..kinds.material_point.measured import experiment
 
     bounds = _all_bounds(args.free)
     case = load_case(args.case, args.set)

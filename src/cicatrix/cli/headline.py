@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..io.results import Quantity, Results
+from ..runs.results import Quantity, Results
 
 
 def print_headline(results: Results) -> None:

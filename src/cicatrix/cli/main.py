@@ -13,9 +13,9 @@ from importlib import import_module
 from types import FrameType
 from typing import NoReturn
 
-from .. import __version__
 from ..core.errors import CicatrixError, ConvergenceError, InputError
 from ..core.ranks import speaks, world
+from ..core.version import __version__
 
 VERBS = (
     "demo",

@@ -21,12 +21,12 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Mesh and write; returns the exit code."""
+    from ..files.images import read_labels
+    from ..files.meshes import write_body
     from ..image.segment import from_labels  # only this verb needs them, and they take a second to load
-    from ..io.images import read_labels
-    from ..io.meshes import write_body
-    from ..study.case import Tissue
-    from ..study.meshed_labels import meshed_labels
-    from ..study.plans import Anatomy
+    from ..kinds.lumpectomy.body import Anatomy
+    from ..kinds.lumpectomy.case import Tissue
+    from ..kinds.lumpectomy.meshed_labels import meshed_labels
 
     out: Path = args.out
     if out.suffix != ".vtu":

@@ -80,13 +80,13 @@ def build_table(
     InputError
         If the image cannot be read or shows no breast.
     """
+    from ..files.images import read_labels, read_thinned
+    from ..files.pictures import picture
     from ..image.phantom import phantom
     from ..image.segment import from_labels, segment
-    from ..io.images import read_labels, read_thinned
-    from ..io.pictures import picture
+    from ..kinds.lumpectomy.case import Image, Run
     from ..pages.planning import PlanningTable
     from ..pages.slices import thin_labels
-    from ..study.case import Image, Run
 
     keys = {"side": side, "weighting": weighting, "position": position}
     if image is None:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskID, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from ..io.progress import Progress
+from ..runs.progress import Progress
 
 STEP = 0.1  # a plain line for every tenth
 

@@ -21,10 +21,7 @@ def add_parser(verbs: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write the pages and say where they are."""
-    from ..pages.report import (  # only this verb needs them, and they take seconds to load
-        write_comparison,
-        write_report,
-    )
+    from ..pages.report import write_comparison, write_report
 
     if len(set(args.runs)) < len(args.runs):
         raise InputError("the same folder is named twice; name each run once")

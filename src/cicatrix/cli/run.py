@@ -8,8 +8,8 @@ from pathlib import Path
 import cicatrix
 
 from ..core.ranks import world
-from ..io.cases import load_case
-from ..io.progress import Progress
+from ..kinds.registry import load_case
+from ..runs.progress import Progress
 from .arguments import add_case, add_overrides
 from .headline import print_headline
 from .progress import make_progress

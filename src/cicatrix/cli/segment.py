@@ -44,8 +44,8 @@ def add_parser(subparsers: argparse._SubParsersAction) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Segment and write; the folder appears only when everything in it is whole. Returns the exit code."""
+    from ..files.images import read_image
     from ..image.segment import segment  # only this verb needs them, and they take a second to load
-    from ..io.images import read_image
 
     out: Path = args.out
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -71,8 +71,8 @@ def run(args: argparse.Namespace) -> int:
 
 def _write(out: Path, image, found: Segmentation) -> None:
     """Write beside the target, then rename."""
-    from ..io.figures_image import draw_preview
-    from ..io.images import write_volume
+    from ..files.figures_image import draw_preview
+    from ..files.images import write_volume
 
     out.parent.mkdir(parents=True, exist_ok=True)
     half = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))

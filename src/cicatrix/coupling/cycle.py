@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 
 from ..geometry.transfer import SiteMap, linear_fit
 from ..healing.automaton import Automaton, AutomatonState
-from ..healing.fields import Course
+from ..healing.continuum import Course
 from ..healing.model import Cue
 from ..materials.active import Contraction
 from ..materials.compose import Sum

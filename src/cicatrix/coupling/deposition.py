@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import jax.numpy as jnp
 import numpy as np
 
-from ..core.tensors import inv
+from ..numerics.tensors import inv
 
 
 @dataclass(frozen=True)

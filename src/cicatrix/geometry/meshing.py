@@ -10,7 +10,7 @@ import skfem
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label, map_coordinates
 
 from ..core.errors import InputError
-from ..core.signals import kept_signals
+from ..core.posix_signals import kept_signals
 from .section import Raster
 
 INSIDE = 3  # MMG's reference number for the negative side of a level set

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import mmgpy
 import numpy as np
 
-from ..core.signals import kept_signals
+from ..core.posix_signals import kept_signals
 from .meshing import INSIDE, Function
 from .tetrahedra import area_vectors, boundary, dihedral_angles, oriented, used_only, volumes
 

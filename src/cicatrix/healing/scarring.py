@@ -12,12 +12,12 @@ from jax import Array, lax
 
 from ..biology.sensing import Sensing
 from ..biology.turnover import Contents, Turnover
-from ..core.compiler import COMPILER
-from ..core.implicit import solve
 from ..core.law import Law, param
-from ..core.spectral import eigh
-from ..core.tensors import IDENTITY, along, det, right_cauchy_green
 from ..materials.scar import Scar
+from ..numerics.compiler import COMPILER
+from ..numerics.implicit import solve
+from ..numerics.spectral import eigh
+from ..numerics.tensors import IDENTITY, along, det, right_cauchy_green
 
 ALIKE = 1e-6  # squares of stretches, relative to their sum, that are not told apart: then no direction is the first
 

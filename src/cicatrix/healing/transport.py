@@ -12,13 +12,13 @@ import scipy.sparse as sp
 from jax import Array
 
 from ..biology.turnover import Contents, Turnover
-from ..core.compiler import COMPILER
-from ..core.factors import check_finite
 from ..core.law import Law, param
-from ..core.linear import gmres
-from ..core.tensors import inv, right_cauchy_green
 from ..mechanics.pattern import Pattern
 from ..mechanics.space import AnySpace
+from ..numerics.compiler import COMPILER
+from ..numerics.factors import check_finite
+from ..numerics.linear import gmres
+from ..numerics.tensors import inv, right_cauchy_green
 
 EXACT, MOST_STEPS = 1e-10, 300  # of a linear system: residual over right-hand side, and Krylov steps
 

@@ -18,14 +18,14 @@ import numpy as np
 from jax import Array
 from scipy.optimize import least_squares
 
-from ..core.compiler import COMPILER
+from ..cases.laws import law_of
+from ..cases.parameters import known, replaced
 from ..core.errors import ConvergenceError, InputError
+from ..kinds.material_point.case import PointCase
+from ..kinds.material_point.measured import STRESSES, Experiment
 from ..mechanics.point import Instant, history
 from ..mechanics.point_walk import lead
-from ..study.laws import law_of
-from ..study.measured import STRESSES, Experiment
-from ..study.parameters import known, replaced
-from ..study.point_case import PointCase
+from ..numerics.compiler import COMPILER
 
 EXACT = 1e-13  # of the sum of squares, of the parameters, of the gradient: where the search ends
 MOST = 200  # evaluations

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..core.law import choice, param
-from ..core.tensors import IDENTITY, first_invariant
+from ..numerics.tensors import IDENTITY, first_invariant
 from .fibres import ORIENTATIONS, by_moments, stretches
 from .material import EnergyMaterial, Response, State
 from .orientation import Orientation

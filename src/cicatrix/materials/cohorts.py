@@ -15,7 +15,7 @@ import numpy as np
 from jax import Array, lax
 
 from ..core.errors import InputError
-from ..core.tensors import det, product
+from ..numerics.tensors import det, product
 from .material import EnergyMaterial, State
 
 

@@ -9,7 +9,7 @@ from jax import Array
 
 from ..core.errors import InputError
 from ..core.law import Law, param
-from ..core.tensors import IDENTITY
+from ..numerics.tensors import IDENTITY
 from .material import EnergyMaterial, has_bulk_modulus
 
 

@@ -11,9 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..core.implicit import solve
 from ..core.law import Law, choice, count, param
-from ..core.tensors import right_cauchy_green, tangent_of
+from ..numerics.implicit import solve
+from ..numerics.tensors import right_cauchy_green, tangent_of
 from .material import EnergyMaterial, Response, State
 from .orientation import Bingham, Fisher, Orientation, Single, VonMises
 from .waviness import Beta, Triangular, Uniform, Waviness

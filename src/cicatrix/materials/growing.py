@@ -5,9 +5,9 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from ..core.implicit import solve
 from ..core.law import Law, choice, param
-from ..core.tensors import IDENTITY, along, cofactor, det, inv, product
+from ..numerics.implicit import solve
+from ..numerics.tensors import IDENTITY, along, cofactor, det, inv, product
 from .fibres import ORIENTATIONS, stretches
 from .material import EnergyMaterial, State
 from .orientation import Orientation, VonMises

@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax.numpy as jnp
 from jax import Array
 
-from ..core.tensors import det, inv, product
+from ..numerics.tensors import det, inv, product
 from .material import EnergyMaterial, Response, State
 
 

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 from jax import Array, lax
 
-from ..core.tensors import product
+from ..numerics.tensors import product
 from .cohorts import Cohorts, Memory, Places
 from .material import EnergyMaterial
 

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..core.law import param
-from ..core.tensors import along, det, first_invariant
+from ..numerics.tensors import along, det, first_invariant
 from .material import EnergyMaterial, State
 
 

@@ -10,8 +10,8 @@ from jax import Array
 
 from ..core.errors import InputError
 from ..core.law import choice, param
-from ..core.polar import right_stretch
-from ..core.tensors import IDENTITY, det, inv, product
+from ..numerics.polar import right_stretch
+from ..numerics.tensors import IDENTITY, det, inv, product
 from .cohorts import Exact, Form, Recursive
 from .constituent import Constituent, pull
 from .homogenised import Homogenised

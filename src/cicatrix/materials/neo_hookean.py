@@ -6,7 +6,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..core.law import param
-from ..core.tensors import IDENTITY, cofactor, det, first_invariant, product
+from ..numerics.tensors import IDENTITY, cofactor, det, first_invariant, product
 from .material import EnergyMaterial, Response, State
 
 

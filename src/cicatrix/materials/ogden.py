@@ -8,8 +8,8 @@ from jax import Array
 
 from ..core.errors import InputError
 from ..core.law import param
-from ..core.spectral import invariant
-from ..core.tensors import det, right_cauchy_green
+from ..numerics.spectral import invariant
+from ..numerics.tensors import det, right_cauchy_green
 from .material import EnergyMaterial, State
 
 SMALLEST = 1e-3  # exponent; the energy of smaller ones is lost in rounding

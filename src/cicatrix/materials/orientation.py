@@ -13,7 +13,7 @@ from jax import Array
 
 from ..core.errors import InputError
 from ..core.law import Law, count, param
-from ..core.tensors import IDENTITY
+from ..numerics.tensors import IDENTITY
 
 
 class Orientation(Law):

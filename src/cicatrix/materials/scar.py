@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jax import Array
 
 from ..core.law import param
-from ..core.tensors import det, inv, product
+from ..numerics.tensors import det, inv, product
 from .material import EnergyMaterial, State
 
 

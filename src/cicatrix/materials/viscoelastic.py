@@ -7,10 +7,10 @@ import jax.numpy as jnp
 from jax import Array, lax
 
 from ..core.errors import InputError
-from ..core.implicit import solve
 from ..core.law import param
-from ..core.spectral import isotropic
-from ..core.tensors import IDENTITY, det, product, right_cauchy_green
+from ..numerics.implicit import solve
+from ..numerics.spectral import isotropic
+from ..numerics.tensors import IDENTITY, det, product, right_cauchy_green
 from .material import EnergyMaterial, State
 
 

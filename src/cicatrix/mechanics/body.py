@@ -13,10 +13,10 @@ import numpy as np
 import scipy.sparse as sp
 from jax import Array
 
-from ..core.compiler import COMPILER
 from ..core.ranks import Ranks
-from ..core.workers import in_order
 from ..materials.material import EnergyMaterial
+from ..numerics.compiler import COMPILER
+from ..numerics.workers import in_order
 from .elements import (
     NORMAL,
     Bulk,
@@ -489,3 +489,9 @@ KERNELS = (
 def compiled_variants() -> int:
     """How many variants of the kernels have been compiled in this process; a healing cycle must not raise it."""
     return sum(f._cache_size() for f in KERNELS)
+
+
+def mean_energy(body: Body, X: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Strain energy density, mean over each element (n_elements,) [kPa]."""
+    weights = body.volumes(X)
+    return np.sum(body.energy_density(X, x) * weights, axis=1) / np.sum(weights, axis=1)

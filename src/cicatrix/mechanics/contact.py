@@ -9,8 +9,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError, InputError
-from ..core.linear import Engine, LinearSolver
-from ..core.newton import NewtonReport, ramp
+from ..numerics.linear import Engine, LinearSolver
+from ..numerics.newton import NewtonReport, ramp
 from .body import Body
 from .held import Held
 

@@ -8,8 +8,8 @@ import jax
 import numpy as np
 
 from ..core.errors import InvariantError
-from ..core.krylov import Layout
 from ..core.ranks import Ranks
+from ..numerics.krylov import Layout
 from .body import Body, Frame
 from .space import SolidSpace
 

@@ -15,8 +15,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..core.tensors import cofactor, det, inv, product
 from ..materials.material import EnergyMaterial
+from ..numerics.tensors import cofactor, det, inv, product
 from .space import Table
 
 NORMAL = np.array([0.0, 0.0, 1.0])

@@ -11,8 +11,8 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError
-from ..core.linear import Engine, LinearSolver
-from ..core.newton import NewtonReport, minimise, newton, ramp
+from ..numerics.linear import Engine, LinearSolver
+from ..numerics.newton import NewtonReport, minimise, newton, ramp
 from .body import Body, Frame, VolumeRates
 from .pullback import Pullback
 from .supports import Supports

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core.linear import LinearSolver
+from ..numerics.linear import LinearSolver
 from .body import PIECE, Frame
 from .pattern import Pattern
 from .space import Table

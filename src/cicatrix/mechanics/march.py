@@ -10,12 +10,12 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from ..core.compiler import COMPILER
 from ..core.errors import ConvergenceError
-from ..core.newton import NewtonReport
 from ..materials.cohorts import used_up
 from ..materials.material import State
 from ..materials.stepped import Stepped
+from ..numerics.compiler import COMPILER
+from ..numerics.newton import NewtonReport
 from .body import Body
 from .equilibrium import Equilibrium
 

@@ -19,9 +19,9 @@ import jax
 import jax.numpy as jnp
 from jax import Array
 
-from ..core.small import solve
-from ..core.tensors import det
 from ..materials.material import EnergyMaterial, State
+from ..numerics.small import solve
+from ..numerics.tensors import det
 
 TOLERANCE = 1e-9  # of a Newton step in the stretches: one more step is done, and squares it
 MAX_ITERATIONS = 40

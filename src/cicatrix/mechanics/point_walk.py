@@ -13,11 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..core.compiler import COMPILER
 from ..core.errors import ConvergenceError
 from ..core.units import hours_from_seconds
 from ..materials.cohorts import used_up
 from ..materials.material import EnergyMaterial
+from ..numerics.compiler import COMPILER
 from .point import Control, Instant, Point, control, step, virgin
 
 PARTS = 4096  # of an asked step: the smallest one that is tried

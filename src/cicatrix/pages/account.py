@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from .. import __version__
 from ..core.errors import InputError
-from ..io.manifest import MANIFEST, read_manifest
-from ..io.results import Quantity, Results, read_results
+from ..core.version import __version__
+from ..runs.manifest import MANIFEST, read_manifest
+from ..runs.results import Quantity, Results, read_results
 
 
 @dataclass(frozen=True, eq=False)

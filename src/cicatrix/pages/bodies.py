@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..core.units import weeks_from_days
+from ..files.vtu import Frame, read_mesh, read_series
 from ..geometry.tetrahedra import owned_boundary
-from ..io.fields import Frame, read_mesh, read_series
 from .account import Account
 from .cutting import Piece, clipped, face
 from .packing import packed

@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from ..io.history import read_history
-from ..io.manifest import read_manifest
+from ..files.history import read_history
+from ..runs.manifest import read_manifest
 
 PATIENCE_S = 60.0  # for a run to write its last checkpoint
 TAIL = 12  # lines of a log that a page is shown

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ..io.atomic import write_bytes
-from ..io.results import plain
+from ..files.atomic import write_bytes
+from ..runs.results import plain
 
 KINDS = {"f": "f4", "i": "i4", "u": "u1"}
 

@@ -14,15 +14,15 @@ import numpy as np
 from pydantic import ValidationError
 from scipy.ndimage import distance_transform_edt
 
+from ..cases.bounds import NotNegative, Positive, Vector
+from ..cases.table import Table
 from ..core.errors import InputError
+from ..files.atomic import write_bytes
+from ..files.toml import toml_text
 from ..geometry.labels import TISSUES, Label
 from ..geometry.volume import Volume
-from ..io.atomic import write_bytes
-from ..io.cases import load_case
-from ..io.toml import toml_text
-from ..study.limits import NotNegative, Positive, Vector
-from ..study.plans import LEAST_SKIN_FLAP_MM
-from ..study.table import Table
+from ..kinds.lumpectomy.body import LEAST_SKIN_FLAP_MM
+from ..kinds.registry import load_case
 from .cosmesis import ML
 
 PITCH_UM = {2: 50.0, 3: 250.0}  # of the automaton's lattice: minutes rather than hours

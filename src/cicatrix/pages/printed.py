@@ -10,7 +10,7 @@ from matplotlib import image
 from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 
-from ..io.atomic import replacing
+from ..files.atomic import replacing
 from .account import Account
 from .cosmesis import Line
 

@@ -12,11 +12,11 @@ from xml.etree.ElementTree import ParseError
 
 from matplotlib import colormaps
 
-from .. import __version__
 from ..core.errors import InputError
-from ..io.atomic import TEMPORARY
-from ..io.manifest import MANIFEST, flat
-from ..io.toml import toml_text
+from ..core.version import __version__
+from ..files.atomic import TEMPORARY
+from ..files.toml import toml_text
+from ..runs.manifest import MANIFEST, flat
 from .account import Account, read_account
 from .bodies import Shape, scene, shapes_of
 from .checks import checks_of

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import unquote, urlsplit
 
-from .. import __version__
 from ..core.errors import CicatrixError, InputError
+from ..core.version import __version__
 from .job import Job
 from .packing import encoded, write_data
 from .planning import PlanningTable, Wish, save_case

@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError
+from ..files.images import read_image, read_labels, write_volume
+from ..files.pictures import picture
 from ..geometry.labels import Label
 from ..geometry.volume import Volume
-from ..io.images import read_image, read_labels, write_volume
-from ..io.pictures import picture
 from .account import Account
 from .packing import encoded
 

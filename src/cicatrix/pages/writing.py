@@ -10,7 +10,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from ..io.atomic import write_bytes
+from ..files.atomic import write_bytes
 
 ASSETS = ("libraries.js", "viewer.js", "style.css", "LICENCES.txt")
 TEMPLATES = Environment(

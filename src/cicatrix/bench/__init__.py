@@ -1,0 +1,1 @@
+"""Benchmarks: speed against measured ceilings and against other programs in the same run."""

@@ -1,0 +1,164 @@
+"""The benchmark of laws: stress and consistent tangent per point, beside NumPy and jaxmat.
+
+Seconds are those of the processor on one core, so that what else a machine does adds little.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator
+
+import jax
+import numpy as np
+from jax import Array
+
+from ..materials.active import ActiveFibres, Contraction
+from ..materials.chunked import chunked
+from ..materials.constituent import Constituent
+from ..materials.fibres import FibreDistribution, FibreViscosity
+from ..materials.growing import AreaGrowth, FibreGrowth, Growing
+from ..materials.holzapfel import HolzapfelGasserOgden
+from ..materials.material import EnergyMaterial
+from ..materials.may_newman import MayNewman
+from ..materials.mixture import ConstrainedMixture
+from ..materials.mooney_rivlin import MooneyRivlin
+from ..materials.neo_hookean import NeoHookean
+from ..materials.ogden import Ogden
+from ..materials.orientation import VonMises
+from ..materials.viscoelastic import Viscoelastic
+from ..materials.waviness import Uniform
+from ..numerics.compiler import COMPILER
+from .measurement import Measurement, best_of, printed_on_one_core
+
+MANY, FEW = 1_000_000, 100_000  # points of a cheap law and of a costly one
+SIZE = 1000  # points at a time; divides both
+DT = 1.0  # s, of a law with history
+STRAIN = 0.1  # of the random deformation gradients
+MU, KAPPA = 2.0, 20.0  # kPa
+TISSUE, PLANE, WAVY = NeoHookean(MU, KAPPA), VonMises(2.0), Uniform(1.0, 1.4)
+FIBRES = FibreDistribution(5.0, PLANE, WAVY)
+LAWS: dict[str, tuple[EnergyMaterial, int]] = {  # every law of a case file, then what may be put around or into it
+    "neo-hookean": (TISSUE, MANY),
+    "mooney-rivlin": (MooneyRivlin(1.0, 0.5, KAPPA), MANY),
+    "ogden": (Ogden(MU, 4.0, KAPPA), FEW),
+    "holzapfel-gasser-ogden": (HolzapfelGasserOgden(MU, 1.5, 0.5, 0.1, np.pi / 6, KAPPA), MANY),
+    "may-newman": (MayNewman(0.5, 0.1, 0.2, 0.0, KAPPA), MANY),
+    "fibre-distribution": (FIBRES, MANY),
+    "active-fibres": (ActiveFibres(0.4, PLANE), MANY),
+    "contraction": (Contraction(0.4), MANY),
+    "constrained-mixture": (
+        ConstrainedMixture((Constituent(NeoHookean(2.0), 0.6), Constituent(NeoHookean(4.0), 0.3, 1e4)), kappa=KAPPA),
+        FEW,
+    ),
+    "viscous fibres": (FibreDistribution(5.0, PLANE, WAVY, FibreViscosity(0.5, 10.0)), FEW // 10),
+    "Prony, two branches": (Viscoelastic(TISSUE, (0.5, 0.2), (1.0, 10.0)), FEW),
+    "growth of an area": (Growing(TISSUE, AreaGrowth(3600.0)), FEW),
+    "growth along fibres": (Growing(TISSUE, FibreGrowth(3600.0, None, PLANE)), FEW),
+}
+NOTES = {
+    "neo-hookean": "aim 1000",
+    "fibre-distribution": "40 directions, uniform waviness; aim 5000",
+    "viscous fibres": "40 directions by 6 of waviness: 240 branches",
+    "growth along fibres": "40 directions",
+}
+
+
+def laws() -> Iterator[Measurement]:
+    """Nanoseconds per point for P and its tangent of every law, in a process of its own that has one core."""
+    return printed_on_one_core("-m", __name__)
+
+
+def measured() -> Iterator[Measurement]:
+    """The rows, in this process."""
+    yield Measurement("P and tangent written out", _write_ns(), "ns", "ceiling: 720 bytes a point set to a number")
+    for name, (law, n) in LAWS.items():
+        yield _row(name, law, n)
+    F = gradients(FEW)
+    yield Measurement(
+        "NumPy neo-Hookean",
+        1e9 * best_of(lambda: _in_numpy(F), 3, time.process_time) / FEW,
+        "ns",
+        f"closed form; {FEW:g}",
+    )
+    yield _jaxmat(F)
+
+
+def gradients(n: int) -> np.ndarray:
+    """Deformation gradients near the identity (n, 3, 3)."""
+    return np.eye(3) + STRAIN * np.random.Generator(np.random.Philox(1)).uniform(-1.0, 1.0, (n, 3, 3))
+
+
+def closed_form(F: np.ndarray, mu: float = MU, kappa: float = KAPPA) -> tuple[np.ndarray, np.ndarray]:
+    """P and dP/dF of the neo-Hookean law written by hand in NumPy: F (n, 3, 3) -> (n, 3, 3), (n, 3, 3, 3, 3) [kPa]."""
+    J, H = np.linalg.det(F)[:, None, None], np.linalg.inv(F).swapaxes(1, 2)
+    I1, j = (F * F).sum(axis=(1, 2))[:, None, None], J ** (-2.0 / 3.0)
+    P = mu * j * (F - I1 / 3.0 * H) + kappa * (J - 1.0) * J * H
+    H_i, FH = H[:, :, :, None, None], F[:, :, :, None, None] * H[:, None, None]
+    both = H_i * H[:, None, None]
+    crossed = H[:, :, None, None, :] * H.swapaxes(1, 2)[:, None, :, :, None]
+    j, I1, J = j[..., None, None], I1[..., None, None], J[..., None, None]
+    unit = np.eye(3)[:, None, :, None] * np.eye(3)[None, :, None, :]
+    shape = unit - 2.0 / 3.0 * (FH + H_i * F[:, None, None]) + I1 * (2.0 / 9.0 * both + crossed / 3.0)
+    return P, mu * j * shape + kappa * J * ((2.0 * J - 1.0) * both - (J - 1.0) * crossed)
+
+
+def _row(name: str, law: EnergyMaterial, n: int) -> Measurement:
+    F, state = jax.device_put(gradients(n)), law.initial_state((n,))
+    ns, compiling = _timed(
+        lambda law, F, state: chunked(lambda p: law.response(*p, DT), (F, state), SIZE), law, F, state
+    )
+    note = NOTES.get(name, "")
+    return Measurement(
+        name, ns / n, "ns", f"{note + '; ' if note else ''}{n:g} points; compiled once in {compiling:.1f} s"
+    )
+
+
+def _timed(work: Callable, *arguments) -> tuple[float, float]:
+    """Nanoseconds of a compiled call, and seconds to compile it."""
+    start = time.perf_counter()
+    ready = jax.jit(work).lower(*arguments).compile(COMPILER)
+    compiling = time.perf_counter() - start
+    return 1e9 * best_of(lambda: jax.block_until_ready(ready(*arguments)), 2, time.process_time), compiling
+
+
+def _in_numpy(F: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    P, A = np.empty_like(F), np.empty((*F.shape, 3, 3))
+    for start in range(0, len(F), SIZE):
+        here = slice(start, start + SIZE)
+        P[here], A[here] = closed_form(F[here])
+    return P, A
+
+
+def _write_ns() -> float:
+    answers = np.empty((FEW, 90))
+    return 1e9 * best_of(lambda: answers.fill(1.0), 5, time.process_time) / FEW
+
+
+def _jaxmat(F: np.ndarray) -> Measurement:
+    """The same law in jaxmat (LGPL 3: never a dependency, looked for here alone), by its own derivatives."""
+    name = "jaxmat, neo-Hookean"
+    try:
+        from jaxmat.materials import hyperelasticity as theirs  # pyright: ignore[reportMissingImports]
+        from jaxmat.tensors import Tensor2  # pyright: ignore[reportMissingImports]
+    except ImportError:
+        return Measurement(name, float("nan"), "ns", "not installed: pip install jaxmat (LGPL 3)")
+    law = theirs.CompressibleNeoHookean(MU, KAPPA, theirs.SquaredVolumetric())
+
+    def one(f: Array) -> tuple[Array, Array]:
+        def stress(g: Array) -> tuple[Array, Array]:
+            P = law.PK1(Tensor2(tensor=g)).tensor
+            return P, P
+
+        A, P = jax.jacfwd(stress, has_aux=True)(f)
+        return P, A
+
+    ns, compiling = _timed(lambda F: chunked(jax.vmap(one), F, SIZE), jax.device_put(F))
+    return Measurement(
+        name, ns / len(F), "ns", f"its energy, jacfwd, vmap; {len(F):g} points; {compiling:.1f} s to compile"
+    )
+
+
+if __name__ == "__main__":
+    for row in measured():
+        print(json.dumps(row), flush=True)

@@ -1,0 +1,68 @@
+"""Where an input lies: beside the case file, or in the folder of shared image data."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+
+from ..core.errors import InputError
+
+DATA_PREFIX = "data:"
+DATA_VARIABLE = "CICATRIX_DATA"
+
+
+def input_path(text: str, folder: Path) -> Path:
+    """Return the absolute path that a case file in ``folder`` means.
+
+    Parameters
+    ----------
+    text : str
+        A path relative to ``folder``, an absolute path, or ``data:NAME`` in the shared data.
+    folder : Path
+        Folder of the case file.
+
+    Raises
+    ------
+    InputError
+        If nothing is there; the sentence lacks its subject, the key.
+    """
+    if not text.removeprefix(DATA_PREFIX).strip():
+        raise InputError("must name a file or folder; got an empty text")
+    if text.startswith(DATA_PREFIX):
+        path = data_folder(folder) / text.removeprefix(DATA_PREFIX)
+    else:
+        path = folder / Path(text).expanduser()
+    if not path.exists():
+        raise InputError(f"names {path}, but there is no such file or folder")
+    return path.resolve()
+
+
+def data_folder(start: Path | None = None) -> Path:
+    """Return the folder of shared image data: ``CICATRIX_DATA``, or ``../shared/data`` beside a project's root.
+
+    Parameters
+    ----------
+    start : Path, optional
+        The project is looked for upwards from here, then from the working directory, then from this module.
+
+    Raises
+    ------
+    InputError
+        If there is none; the sentence lacks its subject.
+    """
+    named = os.environ.get(DATA_VARIABLE)
+    if named:
+        if not Path(named).is_dir():
+            raise InputError(f"needs the image data, but {DATA_VARIABLE} names {named}, which is no folder")
+        return Path(named).resolve()
+    for root in _project_roots([start or Path(), Path(), Path(__file__).parent]):
+        if (root.parent / "shared" / "data").is_dir():
+            return root.parent / "shared" / "data"
+    raise InputError(f"needs the image data: set {DATA_VARIABLE} to its folder, or put it in ../shared/data")
+
+
+def _project_roots(starts: list[Path]) -> Iterator[Path]:
+    for start in starts:
+        here = start.resolve()
+        yield from (folder for folder in (here, *here.parents) if (folder / "pyproject.toml").is_file())

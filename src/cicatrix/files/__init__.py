@@ -1,0 +1,1 @@
+"""File formats in and out: images, meshes, tables, networks, figures."""

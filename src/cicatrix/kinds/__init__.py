@@ -1,0 +1,1 @@
+"""Kinds of case, one package each; siblings never import each other."""

@@ -1,0 +1,1 @@
+"""Healing alone: the cellular automaton on a lattice."""

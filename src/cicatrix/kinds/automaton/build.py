@@ -1,0 +1,97 @@
+"""From a case of kind "automaton" to the wound on its lattice and the cue of its cells."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from ...core.errors import InputError
+from ...core.units import mm_from_um
+from ...geometry.hexgrid import Lattice
+from ...healing.automaton import Automaton
+from ...healing.model import Cue
+from ...healing.rules import AutomatonRules
+from .case import AutomatonCase
+
+
+def automaton_of(case: AutomatonCase) -> Automaton:
+    """The wound of a case on its lattice.
+
+    Raises
+    ------
+    InputError
+        If a mask does not fit the lattice, the wound is larger than it, or no cell or no wound is left.
+    """
+    pitch = mm_from_um(case.lattice.pitch_um)
+    lattice = Lattice(case.lattice.size, pitch, (0.0,) * len(case.lattice.size))
+    fillable = np.ones(lattice.shape, bool)
+    if case.lattice.fillable is not None:
+        fillable = _read_mask(case.lattice.fillable, "lattice.fillable", lattice)
+    open0 = _open_sites(case, lattice) & fillable
+    if not open0.any():
+        raise InputError("the wound holds no site that can be filled: make it larger, or look at lattice.fillable")
+    r = case.rules
+    rules = AutomatonRules(
+        p_edge=r.p_edge,
+        p_layer=r.p_layer,
+        layer_sites=r.layer_sites,
+        motility_substeps=r.motility_substeps,
+        redistribution=r.redistribution,
+        feedback=r.feedback,
+        min_free_neighbours=r.contact_inhibition,
+        path_noise=r.path_noise,
+    )
+    return Automaton(lattice, fillable, open0, rules, case.run.seed)
+
+
+def cue_of(case: AutomatonCase) -> Cue:
+    """The cue of a case.
+
+    Raises
+    ------
+    InputError
+        If its file holds no numbers.
+    """
+    if isinstance(case.cue.W, Path):
+        W = _read_array(case.cue.W, "cue.W")
+        if W.dtype.kind not in "fiu":
+            raise InputError(f"cue.W must hold numbers; {case.cue.W.name} holds {W.dtype}")
+        return Cue(W.astype(float), case.cue.W_ref)
+    return Cue(case.cue.W, case.cue.W_ref)
+
+
+def inradius_um(lattice: Lattice) -> float:
+    """Largest radius of a disc or ball about the middle that the block of sites holds [um]."""
+    heights = 1.0 / np.linalg.norm(np.linalg.inv(lattice.basis_mm), axis=0)
+    return float(1e3 * np.min((np.array(lattice.shape) - 1) * heights) / 2)
+
+
+def _open_sites(case: AutomatonCase, lattice: Lattice) -> np.ndarray:
+    if case.wound.mask is not None:
+        return _read_mask(case.wound.mask, "wound.mask", lattice)
+    radius, largest = case.wound.radius_um or 0.0, inradius_um(lattice)
+    if largest <= 0.0:
+        raise InputError(f"lattice.size must hold a wound and cells around it; {list(lattice.shape)} is a single row")
+    if radius > largest:
+        raise InputError(
+            f"wound.radius_um must be at most {largest:.0f}, or the wound is larger than the lattice; got {radius:g}"
+        )
+    return lattice.near_middle(mm_from_um(radius))
+
+
+def _read_array(path: Path, key: str) -> np.ndarray:
+    try:
+        return np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError):
+        raise InputError(f"{key}: {path.name} is not a NumPy file (.npy) that can be read") from None
+
+
+def _read_mask(path: Path, key: str, lattice: Lattice) -> np.ndarray:
+    mask = _read_array(path, key)
+    if mask.shape != lattice.shape or mask.dtype.kind not in "bui":
+        raise InputError(
+            f"{key} must be a mask (true or false, or 0 and 1) of the lattice's shape {list(lattice.shape)}; "
+            f"{path.name} holds {mask.dtype} {list(mask.shape)}"
+        )
+    return mask != 0

@@ -1,0 +1,1 @@
+"""Mechanics alone: the equilibrium of a body on a mesh of the user's."""

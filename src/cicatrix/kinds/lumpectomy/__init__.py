@@ -1,0 +1,1 @@
+"""The main job: from an image and a planned resection to the healed shape."""

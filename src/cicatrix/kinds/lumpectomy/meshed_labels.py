@@ -1,0 +1,33 @@
+"""The breast of a label map as a mesh with tissue, for mechanics alone."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...geometry.meshing3d import BodyMesh, mesh_body
+from ...geometry.tetrahedra import with_middles
+from ...materials.neo_hookean import young_from_moduli
+from ...mechanics.space import SolidSpace
+from .body import Anatomy, quadrature_points, tissue_at
+from .case import Tissue as TissueTable
+
+
+def meshed_labels(
+    anatomy: Anatomy, edge_mm: float, tissue: TissueTable
+) -> tuple[BodyMesh, np.ndarray, np.ndarray, np.ndarray]:
+    """Mesh the breast, and give each tetrahedron the mean of its tissue.
+
+    Returns
+    -------
+    BodyMesh, E (m,) [kPa], nu (m,) [1], density (m,) [kg/mm^3]
+
+    Raises
+    ------
+    InputError
+        If there is no breast, nothing holds it, or it has no good mesh.
+    """
+    mesh = mesh_body(anatomy.labels, edge_mm, tissue=anatomy.breast)
+    space = SolidSpace(*with_middles(mesh.nodes, mesh.tetrahedra))
+    found = tissue_at(tissue, anatomy, quadrature_points(space))
+    E, nu = young_from_moduli(found.mu.mean(axis=1), found.kappa.mean(axis=1))
+    return mesh, E, nu, found.density.mean(axis=1)

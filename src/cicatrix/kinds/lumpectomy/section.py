@@ -1,0 +1,233 @@
+"""A plane section of the breast: cut, meshed, and filled with tissue."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import skfem
+from scipy.ndimage import distance_transform_edt, map_coordinates
+
+from ...core.errors import InputError
+from ...coupling.cycle import Tissue
+from ...geometry.labels import Label
+from ...geometry.meshing import component_at, interpolant, label_borders, mesh_section, signed_distance
+from ...geometry.section import Raster, Section
+from ...geometry.volume import Volume
+from ...mechanics.body import Frame
+from ...mechanics.space import Space
+from ...outcome.change import ShapeChange
+from ...outcome.shape import compare
+from .body import (
+    LEAST_SKIN_FLAP_MM,
+    Anatomy,
+    Plan,
+    check_flap,
+    intact_body,
+    nipple_of,
+    quadrature_points,
+    resection_of,
+    scar_of,
+    tissue_at,
+)
+from .case import LumpectomyCase
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SectionPlan(Plan):
+    """A section, its mesh and the body in it.
+
+    Parameters
+    ----------
+    section : Section
+        Where she is cut.
+    mesh : skfem.MeshTri
+        With the subdomain "cavity" and the boundaries "skin" and "wall".
+    """
+
+    section: Section
+    mesh: skfem.MeshTri
+
+    @property
+    def slice_mm(self) -> float:
+        """Where it lies along its normal, LPS [mm]."""
+        return float(self.section.position_mm)
+
+    def from_patient(self, vectors: np.ndarray) -> np.ndarray:
+        """LPS components in the section's axes: (..., 3) -> (..., 3)."""
+        return self.section.from_patient(vectors)
+
+    def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
+        """Compare the outlines of loaded shapes (n_nodes, 3) [mm]."""
+        rows = self.outline
+        return compare(before[rows], after[rows], self.on_skin, self.nipple)
+
+    def margin_mm(self, anatomy: Anatomy) -> float:
+        """Least distance from the labelled tumour to the edge of the resection's disc in this section [mm]."""
+        raster = self.section.raster(anatomy.labels, min(anatomy.labels.spacing_mm))
+        tumour = anatomy.labels.nearest(self.section.to_patient(raster.points)) == Label.TUMOUR
+        away = np.linalg.norm(raster.points[tumour] - self.section.from_patient(self.centre_mm)[:2], axis=-1)
+        return float(self.radius_mm - np.max(away, initial=-np.inf))
+
+    def arrays(self) -> dict[str, np.ndarray]:
+        """What ``section_from_arrays`` needs to make the same plan again."""
+        mesh = self.mesh
+        return self.tissue_arrays() | {
+            "points": mesh.p,
+            "triangles": mesh.t,
+            "cavity": mesh.subdomains["cavity"],
+            "skin": mesh.boundaries["skin"],
+            "wall": mesh.boundaries["wall"],
+            "section_mm": np.array(self.section.position_mm),
+        }
+
+    @cached_property
+    def cavity_border(self) -> np.ndarray:
+        """Mesh edges between the cavity and the tissue around it (n_edges,)."""
+        inner, outer = self.mesh.f2t
+        return np.flatnonzero((outer >= 0) & (self.cavity[inner] != self.cavity[np.maximum(outer, 0)]))
+
+    @cached_property
+    def outline(self) -> np.ndarray:
+        """Nodes around the section in order, vertices and midpoints (n,)."""
+        return _ordered_outline(self.intact.frame.space)
+
+    @cached_property
+    def on_skin(self) -> np.ndarray:
+        """Which outline nodes lie on the skin (n,) bool."""
+        return np.isin(self.outline, self.intact.frame.skin_nodes)
+
+    @cached_property
+    def nipple(self) -> int:
+        """Row of ``outline`` that is taken for the nipple."""
+        rows = np.flatnonzero(self.on_skin)
+        skin = self.x_imaged[self.outline[rows], :2]
+        return int(rows[self.nipple_among(self.section.to_patient(skin))])
+
+
+def plan_section(case: LumpectomyCase, anatomy: Anatomy) -> SectionPlan:
+    """Cut the section, mesh it with the cavity's border on element edges, and fill it with tissue.
+
+    Raises
+    ------
+    InputError
+        If the section holds no breast, no chest wall, or the resection does not lie inside it.
+    """
+    centre = resection_of(case, anatomy)
+    normal = Section(case.image.plane, 0.0).axes[2]
+    position = centre[normal] if case.image.slice_mm is None else case.image.slice_mm
+    section = Section(case.image.plane, float(position))
+    radius = _radius_in_plane(case.resection.radius_mm, position - centre[normal])
+    raster = section.raster(anatomy.labels, min(*anatomy.labels.spacing_mm, 1.0))
+    centre2 = section.from_patient(centre)[:2]
+    inside = _breast(anatomy, section, raster, centre2)
+    body = signed_distance(inside, raster.pixel_mm)
+    cavity = _cavity(body, raster, centre2, radius, case.mesh.cavity_edge_mm)
+    points = raster.points[inside]
+    mesh = mesh_section(
+        interpolant(body, raster),
+        cavity,
+        points.min(axis=0),
+        points.max(axis=0),
+        case.mesh.edge_mm,
+        case.mesh.cavity_edge_mm,
+    )
+    mesh = label_borders(mesh, _is_wall(anatomy.labels, section, raster))
+    points = section.to_patient(quadrature_points(Space(mesh))[..., :2])
+    return _filled(case, section, mesh, tissue_at(case.tissue, anatomy, points), centre, radius)
+
+
+def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SectionPlan:
+    """Make the plan of a stopped run again, to the bit, without the image."""
+    mesh = skfem.MeshTri(arrays["points"], arrays["triangles"]).with_subdomains({"cavity": arrays["cavity"]})
+    mesh = mesh.with_boundaries({name: arrays[name] for name in ("skin", "wall")})
+    section = Section(case.image.plane, float(arrays["section_mm"]))
+    tissue = Tissue(arrays["mu"], arrays["kappa"], arrays["density"])
+    return _filled(case, section, mesh, tissue, arrays["centre_mm"], float(arrays["radius_mm"]))
+
+
+def _radius_in_plane(radius: float, offset: float) -> float:
+    if abs(offset) >= radius:
+        raise InputError(
+            f"image.slice_mm lies {abs(offset):.1f} mm from the centre of the resection, beyond its radius of {radius:g} mm: "
+            "the section does not cut the cavity."
+        )
+    return float(np.sqrt(radius**2 - offset**2))
+
+
+def _breast(anatomy: Anatomy, section: Section, raster: Raster, centre: np.ndarray) -> np.ndarray:
+    mask = anatomy.breast.sample(section.to_patient(raster.points)) > 0.5
+    row, column = np.rint(raster.index(centre)).astype(int)
+    if not (0 <= row < mask.shape[0] and 0 <= column < mask.shape[1] and mask[row, column]):
+        where = ", ".join(f"{c:.1f}" for c in centre)
+        raise InputError(f"resection.centre_mm must lie inside the breast; ({where}) mm in the section does not.")
+    return component_at(mask, row, column)
+
+
+def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float, edge_mm: float):
+    """Signed distance of the cavity: the disc, kept below a flap of skin.
+
+    The mesh makes a polygon of it; its corners lie on a circle so much larger that the polygon has the disc's area.
+    """
+    depth = -float(interpolant(body, raster)(centre[None])[0])
+    widest = float(-body.min())
+    if radius > widest:
+        raise InputError(
+            f"resection.radius_mm must be smaller than the breast in this section, where the largest disc has a radius of "
+            f"{widest:.1f} mm; got {radius:.1f}."
+        )
+    check_flap(depth)
+    distance, corners = interpolant(body, raster), radius + edge_mm**2 / (12.0 * radius)
+    return lambda p: np.maximum(np.hypot(*(p - centre).T) - corners, distance(p) + LEAST_SKIN_FLAP_MM)
+
+
+def _is_wall(labels: Volume, section: Section, raster: Raster):
+    """Say whether points just outside the breast lie in the chest (or beyond the image) rather than in air."""
+    values = labels.nearest(section.to_patient(raster.points))
+    chest = np.pad(values == Label.CHEST, 1, constant_values=not (labels.values == Label.CHEST).any())
+    air = np.pad(values == Label.AIR, 1, constant_values=False)
+    if not chest.any():
+        raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
+    nearer_chest = distance_transform_edt(~chest) < (distance_transform_edt(~air) if air.any() else np.inf)  # pyright: ignore[reportOperatorIssue]
+    return lambda p: map_coordinates(nearer_chest.astype(float), raster.index(p) + 1.0, order=1, mode="nearest") > 0.5
+
+
+def _filled(
+    case: LumpectomyCase, section: Section, mesh: skfem.MeshTri, tissue: Tissue, centre: np.ndarray, radius: float
+) -> SectionPlan:
+    """Join mesh and tissue to the intact body."""
+    wall = mesh.boundaries["wall"]
+    if not len(wall):
+        raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
+    space = Space(mesh)
+    frame = Frame(space, mesh.boundaries["skin"], np.unique(space.facet_nodes(wall)))
+    return SectionPlan(
+        intact=intact_body(case, frame, tissue),
+        tissue=tissue,
+        scar=scar_of(case),
+        cavity=np.isin(np.arange(mesh.nelements), mesh.subdomains["cavity"]),
+        centre_mm=centre,
+        radius_mm=radius,
+        nipple_mm=nipple_of(case),
+        section=section,
+        mesh=mesh,
+    )
+
+
+def _ordered_outline(space: Space) -> np.ndarray:
+    """Boundary nodes of the section in order around it (n,): vertex, midpoint, vertex, ..."""
+    edges = space.facet_nodes(space.mesh.boundary_facets())
+    following: dict[int, list[tuple[int, int]]] = {}
+    for a, b, middle in edges.tolist():
+        following.setdefault(a, []).append((b, middle))
+        following.setdefault(b, []).append((a, middle))
+    start = int(edges[0, 0])
+    path, previous, here = [], -1, start
+    while True:
+        after, middle = next(step for step in following[here] if step[1] != previous)
+        path += [here, middle]
+        previous, here = middle, after
+        if here == start:
+            return np.array(path)

@@ -1,0 +1,1 @@
+"""A constitutive law at one material point, without a mesh."""

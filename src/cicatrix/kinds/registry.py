@@ -1,0 +1,121 @@
+"""Kinds of case by name; the code of a kind is loaded when a case of it is first read or run.
+
+A new kind is a folder beside this file, named after the kind, and a line in :data:`KINDS`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from importlib import import_module, resources
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from ..cases.reading import checked, kind_of, read_tables
+from ..cases.table import Case
+from ..core.errors import InputError
+
+
+class Entry(NamedTuple):
+    """Names of what a kind's folder holds: its case type in ``case.py``, its simulation in ``run.py``."""
+
+    case: str
+    simulation: str
+    checker: str = ""
+    """Module whose ``faults_of(case)`` looks into the files of a case where that takes no more than a second."""
+
+
+KINDS = {
+    "lumpectomy": Entry("LumpectomyCase", "Lumpectomy"),
+    "automaton": Entry("AutomatonCase", "AutomatonRun"),
+    "equilibrium": Entry("EquilibriumCase", "equilibrium"),
+    "material-point": Entry("PointCase", "MaterialPoint"),
+    "adhesion": Entry("AdhesionCase", "AdhesionRun"),
+    "signalling": Entry("SignallingCase", "SignallingRun", checker="network"),
+    "tissue-cell": Entry("TissueCellCase", "TissueCellRun"),
+    "wound": Entry("WoundCase", "WoundRun"),
+}
+
+
+def case_type(kind: str) -> type[Case]:
+    """Return the type of a kind's cases."""
+    return getattr(_module(kind, "case"), KINDS[kind].case)
+
+
+def load_case(path: str | Path, overrides: Sequence[str] = ()) -> Any:
+    """Read and check a case file.
+
+    Parameters
+    ----------
+    path : str or Path
+        The TOML file; paths in it are relative to it, or start with ``data:``.
+    overrides : sequence of str
+        ``key.path=value`` each, as after ``--set``.
+
+    Returns
+    -------
+    Case
+        The case, of the type of its kind (such as ``LumpectomyCase``), its paths absolute.
+
+    Raises
+    ------
+    InputError
+        With the first fault, and how many more there are.
+    """
+    case, faults = _examined(Path(path), overrides)
+    if case is None:
+        more = f" (and {len(faults) - 1} more: cicatrix check {path} lists them)" if len(faults) > 1 else ""
+        raise InputError(f"{path}: {faults[0]}{more}")
+    return case
+
+
+def case_from(tables: Mapping[str, Any], folder: str | Path = ".") -> Any:
+    """Check a case given as nested tables, as a TOML file would hold them.
+
+    Parameters
+    ----------
+    tables : mapping
+        ``kind`` and what belongs to it.
+    folder : str or Path
+        Folder that relative paths start from.
+
+    Raises
+    ------
+    InputError
+        With every fault.
+    """
+    case, faults = checked(tables, case_type(kind_of(tables, KINDS)), Path(folder))
+    if case is None:
+        raise InputError("; ".join(faults))
+    return case
+
+
+def demo_case() -> Any:
+    """Return the case that ``cicatrix demo`` runs."""
+    with resources.as_file(resources.files("cicatrix.kinds.lumpectomy") / "demo.toml") as path:
+        return load_case(path)
+
+
+def check_case(path: str | Path, overrides: Sequence[str] = ()) -> list[str]:
+    """Return every fault of a case file, one sentence each; an empty list means that it is sound."""
+    case, faults = _examined(Path(path), overrides)
+    if case is not None and KINDS[case.kind].checker:
+        return _module(case.kind, KINDS[case.kind].checker).faults_of(case)
+    return faults
+
+
+def simulation_type(kind: str) -> Any:
+    """Return the simulation of a kind: see :class:`..runs.kind.Simulation`."""
+    return getattr(_module(kind, "run"), KINDS[kind].simulation)
+
+
+def _examined(path: Path, overrides: Sequence[str]) -> tuple[Any, list[str]]:
+    try:
+        tables = read_tables(path, overrides)
+        kind = case_type(kind_of(tables, KINDS))
+    except InputError as error:
+        return None, [str(error)]
+    return checked(tables, kind, path.parent)
+
+
+def _module(kind: str, name: str) -> Any:
+    return import_module(f".{kind.replace('-', '_')}.{name}", __package__)

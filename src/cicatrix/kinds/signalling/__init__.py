@@ -1,0 +1,1 @@
+"""A signalling network by itself."""

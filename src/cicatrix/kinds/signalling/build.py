@@ -1,0 +1,129 @@
+"""From a case of kind "signalling" to what the network is led through."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ...biology.network_model import Model
+from ...biology.steady import N_TIMES, latin_hypercube
+from ...core.errors import InputError
+from ...core.units import seconds_from_hours
+from ...numerics.ode import Accuracy
+from .case import SignallingCase
+
+STARTS, SLOWNESS = 30, 100.0
+
+
+class Chunk(NamedTuple):
+    """A stretch of time under inputs that are held."""
+
+    times_h: np.ndarray
+    """Start, rows, end, filled up with the end (N_TIMES,)."""
+    n_rows: int
+    inputs: np.ndarray
+    """(n_inputs,)."""
+
+
+def accuracy_of(case: SignallingCase) -> Accuracy:
+    """How exactly to follow it."""
+    asked = case.solver
+    return Accuracy(asked.relative_tolerance, asked.absolute_tolerance, asked.method, asked.max_steps)
+
+
+def refuse_unknown(case: SignallingCase, model: Model) -> None:
+    """Check the names that the case gives against those of the network.
+
+    Raises
+    ------
+    InputError
+        With the key, the name, and the known ones.
+    """
+    known, species = model.law.input_names, model.law.species
+    for key, names, all_of in (
+        ("set", case.set, known),
+        ("steady.over", [case.steady.over] if case.steady.over else [], known),
+        ("sensitivity.outputs", case.sensitivity.outputs, species),
+    ):
+        for name in names:
+            if name not in all_of:
+                kind = "input" if all_of is known else "species"
+                raise InputError(f'{key} names "{name}", which is no {kind} of the network; known: {_listed(all_of)}')
+    for name, schedule in case.set.items():
+        _refuse_beyond(f"set.{name}", schedule.value, model)
+        late = [t for t in schedule.time_h if t > case.time.duration_h]
+        if late:
+            raise InputError(f"set.{name} changes at {late[0]:g} h, after time.duration_h = {case.time.duration_h:g}")
+    _refuse_beyond("steady.values", case.steady.values, model)
+
+
+def inputs_at(case: SignallingCase, model: Model, time_h: float) -> np.ndarray:
+    """Values of the inputs (n_inputs,) from a time on."""
+    values = model.inputs.copy()
+    for name, schedule in case.set.items():
+        number = int(np.searchsorted(schedule.time_h, time_h, side="right")) - 1
+        if number >= 0:
+            values[model.law.input_names.index(name)] = schedule.value[number]
+    return values
+
+
+def row_times(case: SignallingCase) -> np.ndarray:
+    """When a row is written [h]: every step, and at the end."""
+    n = int(np.floor(case.time.duration_h / case.time.step_h * (1.0 + 1e-12)))
+    times = np.round(np.arange(n + 1) * case.time.step_h, 12)  # so that a row meets the change that it was meant for
+    return times if np.isclose(times[-1], case.time.duration_h) else np.append(times, case.time.duration_h)
+
+
+def corners(case: SignallingCase) -> np.ndarray:
+    """Start, end, and every time at which an input changes [h]."""
+    last = float(row_times(case)[-1])
+    changes = {t for schedule in case.set.values() for t in schedule.time_h if 0.0 < t < last}
+    return np.array(sorted(changes | {0.0, last}))
+
+
+def chunks(case: SignallingCase, model: Model) -> list[Chunk]:
+    """Lay out the run: the solver starts anew at every corner, and after so many rows that a checkpoint is worth while."""
+    rows, laid = row_times(case), []
+    for start, end in zip(corners(case)[:-1], corners(case)[1:]):
+        inside = rows[(rows > start) & (rows <= end)]
+        parts = [inside[i : i + N_TIMES - 2] for i in range(0, len(inside), N_TIMES - 2)] or [inside]
+        for number, part in enumerate(parts):
+            stop = end if number == len(parts) - 1 else part[-1]
+            times = np.concatenate([[start], part, np.full(N_TIMES - 1 - len(part), stop)])
+            laid.append(Chunk(times, len(part), inputs_at(case, model, float(start))))
+            start = stop
+    return laid
+
+
+def starts_of(case: SignallingCase, model: Model) -> np.ndarray:
+    """Starts of the search for steady states (n, n_species): the network's own, then all low, all high, then drawn ones."""
+    n = case.steady.starts
+    if n is None:
+        n = STARTS if model.is_normalised else 0
+    low = np.zeros_like(model.high)
+    ends = [low, model.high] if model.is_normalised else []
+    rng = np.random.Generator(np.random.Philox(case.seed))
+    return np.vstack([model.start, *ends, latin_hypercube(low, model.high, n, rng)])
+
+
+def longest_s(case: SignallingCase, model: Model) -> float:
+    """How long to wait for a network to rest [s]."""
+    slowest = case.time.duration_h if model.slowest_h is None else model.slowest_h
+    return seconds_from_hours(case.steady.longest_h or SLOWNESS * slowest)
+
+
+def outputs_of(case: SignallingCase, model: Model) -> Sequence[int]:
+    """Species whose sensitivities are asked for, by number."""
+    return [model.law.species.index(name) for name in case.sensitivity.outputs] or range(len(model.law.species))
+
+
+def _refuse_beyond(key: str, values: Iterable[float], model: Model) -> None:
+    for value in values if model.is_normalised else ():
+        if not 0.0 <= value <= 1.0:
+            raise InputError(f"{key} must be in [0, 1]; got {value:g}")
+
+
+def _listed(names: Sequence[str]) -> str:
+    return ", ".join(names[:30]) + (", ..." if len(names) > 30 else "") if names else "none"

@@ -1,0 +1,139 @@
+"""Pictures of a signalling network: over time, at rest, and what it owes to its parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from ...biology.steady import SteadyStates
+
+MOST_LINES = 20  # more species are shown as a map
+MOST_PARAMETERS = 30
+FEWEST = 0.02  # of the greatest sensitivity: below it a parameter is not shown
+MARKS = ("-", "--", ":", "-.")
+
+
+def courses_figure(
+    history: Mapping[str, np.ndarray], names: Sequence[str], inputs: Sequence[str], of_inputs: str = "input [1]"
+) -> Figure:
+    """Every species over time, lines or a map of many; above them the inputs that the case sets, with their label."""
+    tall = 0.26 * len(names) + 1.5 if len(names) > MOST_LINES else 5.0
+    figure = Figure(figsize=(10, tall + (1.6 if inputs else 0.0)), layout="constrained")
+    heights = [1.2, tall] if inputs else None
+    axes = np.atleast_1d(figure.subplots(2 if inputs else 1, 1, sharex=True, height_ratios=heights))
+    time = history["time_h"]
+    for name, colour in zip(inputs, _colours(len(inputs))):
+        axes[0].step(time, history[f"input_{name}"], where="post", color=colour, label=name)
+    if inputs:
+        axes[0].set_ylabel(of_inputs)
+        axes[0].grid(alpha=0.3)
+        axes[0].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
+    states = np.array([history[name] for name in names])
+    if len(names) > MOST_LINES:
+        _map_over_time(axes[-1], time, states, names)
+    else:
+        _lines_over_time(axes[-1], time, states, names)
+    axes[-1].set_xlabel("time [h]")
+    return figure
+
+
+def states_figure(found: SteadyStates, names: Sequence[str]) -> Figure:
+    """Activities in every steady state, stable ones first, with the starts that each of them drew."""
+    figure = Figure(figsize=(max(5.0, 0.42 * len(names) + 3.0), 0.5 * len(found.states) + 2.2), layout="constrained")
+    ax = figure.subplots()
+    if not found.states:
+        ax.text(0.5, 0.5, "no steady state was found", ha="center", transform=ax.transAxes)
+        ax.set_axis_off()
+        return figure
+    values = np.array([state.y for state in found.states])
+    image = ax.imshow(values, aspect="auto", cmap="viridis", vmin=0.0)
+    ax.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
+    words = [
+        f"{number}: {'stable' if state.is_stable else 'unstable'}, {state.n_starts} of {len(found.reached)} starts"
+        for number, state in enumerate(found.states, 1)
+    ]
+    ax.set_yticks(range(len(words)), words)
+    if len(names) <= MOST_LINES:
+        _write_values(ax, values)
+    figure.colorbar(image, ax=ax, label="activity [1]")
+    return figure
+
+
+def branches_figure(found: Mapping[float, SteadyStates], names: Sequence[str], over: str) -> Figure:
+    """Steady states of each species against an input: full marks stable, open marks unstable."""
+    columns = min(4, len(names))
+    rows = -(-len(names) // columns)
+    figure = Figure(figsize=(2.9 * columns, 2.3 * rows), layout="constrained")
+    axes = np.atleast_1d(figure.subplots(rows, columns, sharex=True, sharey=True)).ravel()
+    for ax in axes[len(names) :]:
+        ax.set_axis_off()
+    for k, (ax, name) in enumerate(zip(axes, names)):
+        for is_stable, face in ((False, "white"), (True, "#0072b2")):
+            points = [(v, s.y[k]) for v, one in found.items() for s in one.states if s.is_stable == is_stable]
+            if points:
+                ax.plot(*np.array(points).T, "o", ms=4, color="#0072b2", markerfacecolor=face)
+        ax.set_title(name, fontsize=9)
+        ax.grid(alpha=0.3)
+    figure.supxlabel(f"input {over}")
+    figure.supylabel("steady activity [1]; open: unstable")
+    return figure
+
+
+def sensitivities_figure(rows: Sequence[Sequence[Any]]) -> Figure:
+    """Relative sensitivities p dy/dp, one map for each state: outputs across, the parameters that matter most down."""
+    maps = {at: _sensitivity_map([row for row in rows if row[0] == at]) for at in dict.fromkeys(row[0] for row in rows)}
+    wide = sum(0.32 * len(outputs) + 2.6 for _, outputs, _ in maps.values())
+    tall = max(0.2 * len(names) + 2.0 for names, _, _ in maps.values())
+    figure = Figure(figsize=(max(5.0, wide), max(3.5, tall)), layout="constrained")
+    for ax, (at, (names, outputs, values)) in zip(np.atleast_1d(figure.subplots(1, len(maps))), maps.items()):
+        most = max(float(np.abs(values).max(initial=0.0)), 1e-12)
+        image = ax.imshow(values, aspect="auto", cmap="RdBu_r", vmin=-most, vmax=most)
+        ax.set_xticks(range(len(outputs)), outputs, rotation=90, fontsize=8)
+        ax.set_yticks(range(len(names)), names, fontsize=8)
+        ax.set_title(at, fontsize=10)
+        figure.colorbar(image, ax=ax, label="p dy/dp [1]")
+    return figure
+
+
+def _sensitivity_map(rows: Sequence[Sequence[Any]]) -> tuple[list[str], list[str], np.ndarray]:
+    outputs = list(dict.fromkeys(row[1] for row in rows))
+    names = list(dict.fromkeys(f"{row[2]} {row[3]}" for row in rows))
+    values = np.zeros((len(names), len(outputs)))
+    for _, output, kind, of, _, _, relative in rows:
+        values[names.index(f"{kind} {of}"), outputs.index(output)] = relative
+    weight = np.abs(values).max(axis=1, initial=0.0)
+    order = [i for i in np.argsort(-weight, kind="stable")[:MOST_PARAMETERS] if weight[i] > FEWEST * weight.max()]
+    return [names[i] for i in order], outputs, values[order]
+
+
+def _lines_over_time(ax: Axes, time: np.ndarray, states: np.ndarray, names: Sequence[str]) -> None:
+    for number, (name, values, colour) in enumerate(zip(names, states, _colours(len(names)))):
+        ax.plot(time, values, MARKS[number // 10 % len(MARKS)], color=colour, label=name)
+    ax.set_ylabel("activity [1]")
+    ax.grid(alpha=0.3)
+    ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
+
+
+def _map_over_time(ax: Axes, time: np.ndarray, states: np.ndarray, names: Sequence[str]) -> None:
+    image = ax.pcolormesh(time, np.arange(len(names)), states, cmap="viridis", shading="nearest", rasterized=True)
+    ax.set_yticks(range(len(names)), names, fontsize=7)
+    ax.invert_yaxis()
+    ax.figure.colorbar(image, ax=ax, label="activity [1]")
+
+
+def _write_values(ax: Axes, values: np.ndarray) -> None:
+    middle = 0.5 * values.max()
+    for (i, k), value in np.ndenumerate(values):
+        ax.text(
+            k, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if value < middle else "black"
+        )
+
+
+def _colours(n: int) -> list[Any]:
+    ten = matplotlib.colormaps["tab10"].colors
+    return [ten[i % 10] for i in range(n)]

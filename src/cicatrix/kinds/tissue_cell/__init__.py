@@ -1,0 +1,1 @@
+"""Tissue that grows because its cells pull (R Eqs 27-30)."""

@@ -1,0 +1,374 @@
+"""The folder of a run: written so that nothing half-made looks finished, read back as arrays with names.
+
+A run is *finished* when its manifest says so, and the manifest says so last. Any other state (``running`` after a
+power cut, ``failed``, ``interrupted``) is unfinished: it can be resumed from its last checkpoint or started over.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from ..core.errors import ConvergenceError, InputError
+from ..files.atomic import replacing, write_bytes, write_json
+from ..files.history import History, read_history, table_text
+from ..files.images import write_volume
+from ..files.pictures import picture
+from ..files.stl import write_stl
+from ..files.vtu import Frame, read_series, write_series, write_vtu
+from ..geometry.transfer import QUARTERS
+from ..geometry.volume import Volume
+from . import checkpoints
+from .checkpoints import Checkpoint
+from .folders import holds_something, lock, make, remove, sweep, unlock
+from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
+from .progress import Progress
+
+SERIES_FOLDERS = ("fields", "shapes")
+PRODUCTS = (
+    "checkpoint",
+    "outcome.json",
+    "history.csv",
+    *SERIES_FOLDERS,
+    "surfaces",
+    "figures",
+    "tables",
+    "labels.nii.gz",
+    "picture.nii.gz",
+    "report",
+)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """A number asked for: a value (or a list or table of values), its unit, and a note where one is needed."""
+
+    value: Any
+    unit: str
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Results:
+    """What a run gives.
+
+    Parameters
+    ----------
+    history : dict of str to (n_rows,) array
+        Columns of history.csv; the unit is in the name.
+    outcome : dict of str to Quantity
+        The numbers asked for.
+    manifest : dict
+        The case as run, versions, seed, hashes, seconds per stage.
+    folder : Path or None
+        Where the files are, if they were kept.
+    """
+
+    history: dict[str, np.ndarray]
+    outcome: dict[str, Quantity]
+    manifest: dict[str, Any]
+    folder: Path | None = None
+
+    @property
+    def status(self) -> tuple[str, str]:
+        """State (running, finished, failed, interrupted) and the sentence that explains it."""
+        return self.manifest["status"]["state"], self.manifest["status"]["sentence"]
+
+
+class RunFolder:
+    """Writes a run; use :meth:`open`, then ``with``.
+
+    Leaving the block without an error marks the run finished; an error marks it failed or interrupted, with its
+    sentence. If the input was at fault before the first checkpoint, a folder made for the run is removed again.
+
+    Attributes
+    ----------
+    path : Path
+        The folder.
+    checkpoint : Checkpoint or None
+        Where to go on; None means from the start.
+    already_finished : bool
+        The very same run was finished before: nothing is to be done, and nothing is touched.
+    """
+
+    def __init__(self, path: Path, manifest: dict[str, Any], progress: Progress, checkpoint: Checkpoint | None = None):
+        self.path = path
+        self.checkpoint = checkpoint
+        self.already_finished = manifest["status"]["state"] == "finished"
+        self._manifest = manifest
+        self._progress = progress
+        self._earlier_seconds = dict(manifest["seconds"])
+        self._sentence = "The run is finished."
+        self._last_cycle = checkpoint.cycle if checkpoint else None
+        self._made_here = False
+        self._lock: int | None = None
+        self._history = History(path / "history.csv")
+        self._frames: dict[str, list[Frame]] = {name: [] for name in SERIES_FOLDERS}
+
+    @classmethod
+    def open(
+        cls,
+        path: str | Path,
+        case: Mapping[str, Any],
+        *,
+        seed: int,
+        inputs: Mapping[str, Path] | None = None,
+        sources: Mapping[str, str] | None = None,
+        resume: bool = False,
+        progress: Progress | None = None,
+    ) -> RunFolder:
+        """Make the folder of a new run, or go on with an old one.
+
+        Parameters
+        ----------
+        path : str or Path
+            The folder; made with its parents.
+        case : mapping
+            The case as nested tables (:func:`cicatrix.cases.reading.case_table`).
+        seed : int
+            Seed of the random numbers.
+        inputs : mapping of str to Path, optional
+            Files and folders read, by key; they are hashed.
+        sources : mapping of str to str, optional
+            Where laws and defaults come from, by key.
+        resume : bool
+            Go on from the last checkpoint; the case, the input bytes and the version must be the same. Where there
+            is no run yet, start one.
+        progress : Progress, optional
+            Its seconds per stage go to the manifest.
+
+        Raises
+        ------
+        InputError
+            If the folder holds something else, a finished run (without ``resume``), another case (with it), only
+            damaged checkpoints, or a run that is still going on.
+        """
+        path, manifest = Path(path), new_manifest(case, seed, inputs or {}, sources or {})
+        old = _old_manifest(path)
+        made_here = not path.exists()
+        make(path)
+        held = lock(path)
+        try:
+            sweep(path)
+            run = cls._continued(path, old, manifest, resume, progress or Progress())
+        except BaseException:
+            unlock(held)
+            raise
+        run._lock, run._made_here = held, made_here
+        return run
+
+    @classmethod
+    def _continued(cls, path: Path, old: dict | None, new: dict, resume: bool, progress: Progress) -> RunFolder:
+        if old is not None and resume:
+            _refuse_other(path, old, new)
+            if old["status"]["state"] == "finished":
+                return cls(path, old, progress)
+            checkpoint = checkpoints.load_checkpoint(path / "checkpoint")
+            if checkpoint is not None:
+                return cls._resumed(path, continued(old, new), progress, checkpoint)
+        elif old is not None and old["status"]["state"] == "finished":
+            raise InputError(f"{path} holds a finished run; give another --out, or --resume to keep it")
+        remove(path / PRODUCTS[0])  # the checkpoint goes before the manifest, so it is never taken for the new case's
+        write_json(path / MANIFEST, new)
+        for name in PRODUCTS[1:]:
+            remove(path / name)
+        return cls(path, new, progress)
+
+    @classmethod
+    def _resumed(cls, path: Path, manifest: dict, progress: Progress, checkpoint: Checkpoint) -> RunFolder:
+        run = cls(path, manifest, progress, checkpoint)
+        run._manifest["notes"] = [*manifest["notes"], *checkpoint.notes, f"Resumed after cycle {checkpoint.cycle}."]
+        checkpoints.keep_newest(path / "checkpoint", checkpoint.cycle)
+        remove(path / "outcome.json")
+        run._history.cut_after(checkpoint.cycle)
+        for name in SERIES_FOLDERS:
+            frames = read_series(path / name)
+            run._frames[name] = [frame for frame in frames if frame.cycle <= checkpoint.cycle]
+            if frames:
+                write_series(path / name, run._frames[name])
+        write_json(path / MANIFEST, manifest)
+        return run
+
+    def record(self, row: Mapping[str, Any]) -> None:
+        """Append a row to history.csv: its count and numbers with units in their names, the same names each time."""
+        self._history.record(row)
+
+    def write_fields(
+        self,
+        part: str,
+        cycle: int,
+        time_days: float,
+        points: np.ndarray,
+        cells: np.ndarray,
+        point_data: Mapping[str, np.ndarray] | None = None,
+        cell_data: Mapping[str, np.ndarray] | None = None,
+        folder: str = "fields",
+    ) -> Path:
+        """Write ``FOLDER/PART-CYCLE.vtu`` and enter it in the folder's series; arguments as :func:`.fields.write_vtu`.
+
+        ``fields`` holds the states that a run went through, ``shapes`` a body in the positions and at the visits asked for.
+        """
+        frame = Frame(part, int(cycle), float(time_days))
+        path = self.path / folder / frame.file
+        write_vtu(path, points, cells, point_data, cell_data)
+        self._frames[folder] = [*(other for other in self._frames[folder] if other.file != frame.file), frame]
+        write_series(self.path / folder, self._frames[folder])
+        return path
+
+    def write_surface(
+        self, name: str, points: np.ndarray, faces: np.ndarray, point_data: Mapping[str, np.ndarray]
+    ) -> None:
+        """Write ``surfaces/NAME.vtu`` and ``.stl``: P2 triangles (n, 6), seen from outside, point data (n_points, ...)."""
+        used, renumbered = np.unique(faces, return_inverse=True)
+        faces = renumbered.reshape(faces.shape)
+        data = {key: values[used] for key, values in point_data.items()}
+        write_vtu(self.path / "surfaces" / f"{name}.vtu", points[used], faces, data)
+        write_stl(self.path / "surfaces" / f"{name}.stl", points[used], faces[:, QUARTERS].reshape(-1, 3))
+
+    def save_figure(self, name: str, figure: Any, dpi: int = 150) -> Path:
+        """Write a matplotlib figure to ``figures/NAME.png``, whole or not at all; equal figures give equal bytes."""
+        path = self.path / "figures" / f"{name}.png"
+        with replacing(path) as temporary:
+            figure.savefig(temporary, dpi=dpi, format="png", metadata={"Software": None})
+        return path
+
+    def write_table(self, name: str, head: Sequence[str], rows: Iterable[Sequence[Any]]) -> None:
+        """Write ``tables/NAME.csv``: column names, then rows of texts and plain numbers; floats read back exactly."""
+        write_bytes(self.path / "tables" / f"{name}.csv", table_text(head, rows).encode())
+
+    def save_labels(self, labels: Volume) -> Path:
+        """Write the label map that the run is built on; corrected by hand, it can be a case's ``image.labels``."""
+        return self._save_volume("labels", labels)
+
+    def save_picture(self, image: Volume) -> Path:
+        """Write the image as a report shows it (:func:`.pictures.picture`), voxels and geometry alone."""
+        shown, note = picture(image)
+        if note:
+            self.note(note)
+        return self._save_volume("picture", shown)
+
+    def _save_volume(self, name: str, volume: Volume) -> Path:
+        path = self.path / f"{name}.nii.gz"
+        with replacing(path) as half:
+            write_volume(half, volume)
+        return path
+
+    def save_checkpoint(
+        self, cycle: int, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any] | None = None
+    ) -> None:
+        """Keep the state at the end of a cycle; the rows and fields up to it must have been written before."""
+        self._history.sync()
+        checkpoints.save_checkpoint(self.path / "checkpoint", cycle, arrays, scalars)
+        self._last_cycle = cycle
+        self._write_manifest()
+
+    def write_outcome(self, outcome: Mapping[str, Quantity]) -> None:
+        """Write outcome.json; a value that is not finite becomes null."""
+        table = {
+            name: {"value": plain(asked.value), "unit": asked.unit, "note": asked.note}
+            for name, asked in outcome.items()
+        }
+        write_json(self.path / "outcome.json", table)
+
+    def history(self) -> dict[str, np.ndarray]:
+        """Columns of history.csv as written so far."""
+        return read_history(self.path / "history.csv")
+
+    def note(self, sentence: str) -> None:
+        """Add a sentence to the manifest's notes."""
+        self._manifest["notes"].append(sentence)
+
+    def found(self, **values: Any) -> None:
+        """Keep what a case left open and the run has found, under ``found`` in the manifest."""
+        self._manifest["found"] = {**self._manifest.get("found", {}), **plain(values)}
+        self._write_manifest()
+
+    def finish(self, sentence: str) -> None:
+        """Set the sentence that the manifest gives once the block is left without an error."""
+        self._sentence = sentence
+
+    def __enter__(self) -> RunFolder:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._history.close()
+        try:
+            if isinstance(error, InputError) and self._made_here and self._last_cycle is None:
+                shutil.rmtree(self.path)
+            elif not self.already_finished:
+                self._close_with(error)
+        finally:
+            unlock(self._lock)
+
+    def _close_with(self, error: BaseException | None) -> None:
+        state = "finished" if error is None else "failed" if isinstance(error, Exception) else "interrupted"
+        sentences = {"finished": self._sentence, "failed": str(error), "interrupted": self._interruption()}
+        if state == "failed" and not hasattr(error, "exit_code"):
+            sentences["failed"] = f"Unexpected {type(error).__name__}: {str(error).partition(chr(10))[0]}"
+        if isinstance(error, ConvergenceError):
+            self._manifest["notes"] += error.history
+        self._manifest["status"] = {"state": state, "sentence": sentences[state]}
+        self._write_manifest()
+
+    def _interruption(self) -> str:
+        if self._last_cycle is None:
+            return "Interrupted before the first checkpoint; it starts over."
+        return f"Interrupted after cycle {self._last_cycle}; it can be resumed from there."
+
+    def _write_manifest(self) -> None:
+        self._manifest["seconds"] = add_seconds(self._earlier_seconds, self._progress.seconds)
+        write_json(self.path / MANIFEST, self._manifest)
+
+
+def read_results(folder: str | Path) -> Results:
+    """Read the folder of a run, finished or not.
+
+    Raises
+    ------
+    InputError
+        If it holds no run.
+    """
+    folder = Path(folder)
+    manifest = read_manifest(folder)
+    if manifest is None:
+        raise InputError(f"{folder} holds no run: it has no {MANIFEST}")
+    path = folder / "outcome.json"
+    outcome = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    asked = {name: Quantity(**entry) for name, entry in outcome.items()}
+    return Results(read_history(folder / "history.csv"), asked, manifest, folder)
+
+
+def plain(value: Any) -> Any:
+    """Turn numbers, arrays and nested tables into what JSON can hold; NaN and infinity become None."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        return plain(value.tolist())
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _old_manifest(path: Path) -> dict[str, Any] | None:
+    if path.exists() and not path.is_dir():
+        raise InputError(f"{path} is a file; --out must name a folder")
+    manifest = read_manifest(path)
+    if manifest is None and holds_something(path):
+        raise InputError(f"{path} is not empty and holds no run; give another --out")
+    return manifest
+
+
+def _refuse_other(path: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
+    differing = differences(old, new)
+    if differing:
+        raise InputError(f"{path} holds another run, so it cannot be resumed: {', '.join(differing)} differ")

@@ -1,1 +1,0 @@
-"""One run: case, build, results."""
