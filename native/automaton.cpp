@@ -79,7 +79,7 @@ class Core final : public AutomatonCore {
    private:
     // ---------------------------------------------------------------- the lattice
 
-    // A byte of a line of sites is a line of a tile.
+    // Unpack rows of bits into tiles: each byte, eight sites of a row, is one line of a tile.
     void read(const uint8_t* in, std::vector<uint32_t>& bits) const {
         for (int64_t n = 0; n < s_.rows.n_lines(); ++n) {
             uint32_t* row = bits.data() + s_.rows.row_of_line(n) * s_.rows.tiles;
@@ -87,8 +87,8 @@ class Core final : public AutomatonCore {
         }
     }
 
-    // Hops beyond the front that a step works on: the densities that change, and the layer, should the front not move by more
-    // than two hops. Where it does, that is noticed.
+    // Initial width of the band in hops from the front: it contains the densities that change, and the layer as long as the
+    // front moves by at most two hops. A larger movement is detected (TooNarrow).
     int64_t first_reach() const {
         const int64_t zone = s_.rules.level_set ? std::max(s_.rules.layer_sites, s_.rules.substeps) : s_.rules.layer_sites;
         return std::max(core_reach() + 1, zone + 3);
@@ -98,7 +98,7 @@ class Core final : public AutomatonCore {
 
     int64_t longest() const { return std::max({s_.rows.across[0], s_.rows.across[1], s_.rows.width}); }
 
-    // Tiles with a free site that do not lie in the midst of free ones: a few too many, for the first step only.
+    // Find the tiles with a free site that are not surrounded by free tiles; some are superfluous, in the first step only.
     void find_front() {
         front_.clear();
         for (int64_t row = 0; row < s_.rows.count(); ++row) {
@@ -152,20 +152,21 @@ class Core final : public AutomatonCore {
 
     // ---------------------------------------------------------------- several ranks
 
-    // How many ranks share a step: as many as have enough to do. The level set's pieces may be larger than any share.
+    // Number of ranks that share a step: as many as have enough work. Redistribution by level set runs on one rank, because a
+    // wound component may be larger than any rank's part.
     int parts_of_front() const {
         if (!s_.team || s_.rules.level_set) return 1;
         const size_t n = kBandOfFront * front_.size() / s_.pool.tiles_per_piece();
         return static_cast<int>(std::clamp<size_t>(n, 1, s_.team->size()));
     }
 
-    // Whether it is worth it: where that does not help, paths are not what was too long.
+    // Double the halo for long paths; false if it is at its limit, so that long paths are not the reason for the failure.
     bool see_further() {
         far_sight_ = far_sight_ < kFarthest ? 2 * far_sight_ : 1;
         return far_sight_ > 1;
     }
 
-    // The front is cut along the Morton curve, anew in every step.
+    // Build the band; for several ranks, divide the front along the Morton curve, anew in every step.
     void build_band(int64_t reach, bool whole, int parts) {
         Share share;
         if (parts > 1) {
@@ -179,11 +180,11 @@ class Core final : public AutomatonCore {
         s_.band.build(front_, reach, core_reach(), whole, parts > 1 ? &share : nullptr, s_.pool);
     }
 
-    // Hops of nearly all paths: the cost of a hop is 64 to 64 + path_noise, and the least of many.
+    // Number of hops that hardly any path exceeds: a hop costs 64 to 64 + path_noise, and a path takes the cheapest of many.
     int64_t usual_sight() const { return kAround + 2 + s_.rules.layer_sites + s_.rules.layer_sites * s_.rules.path_noise / 128; }
 
-    static constexpr int64_t kAround = 3;         // hops that edge division and the borders of tiles' masks look further
-    static constexpr size_t kBandOfFront = 3;     // tiles of the band for each of the front, about
+    static constexpr int64_t kAround = 3;         // additional hops for edge division and for the border between tiles
+    static constexpr size_t kBandOfFront = 3;     // approximate number of band tiles per tile of the front
     static constexpr int64_t kFarthest = 4;
 
     // ---------------------------------------------------------------- edge division
@@ -221,10 +222,10 @@ class Core final : public AutomatonCore {
         draw();
     }
 
-    // The free neighbour that a random word means, if there are enough of them.
+    // Add the free neighbour that a random word selects, if there are enough free neighbours.
     void choose_target(Site site, uint32_t word, std::vector<Site>& targets) {
         const auto around = s_.around(site);
-        uint32_t directions = 0, bit = 1;  // one bit for each
+        uint32_t directions = 0, bit = 1;  // one bit per direction
         for (Site other : around) directions |= s_.has(s_.free(), other) ? bit : 0, bit <<= 1;
         const int n_free = popcount(directions);
         if (n_free < s_.rules.min_free) return;
@@ -248,7 +249,7 @@ class Core final : public AutomatonCore {
             std::copy_if(layer_.tiles.begin(), layer_.tiles.end(), std::back_inserter(layer_.own), [&](int32_t id) { return s_.band.is_own(id); });
     }
 
-    // Own cells of the layer that divide.
+    // Return the layer cells owned by this rank that divide.
     std::vector<Site> divide_in_layer(int64_t& n_clamped) {
         std::vector<Site> parents;
         if (s_.rules.p_layer == 0.0 || layer_.tiles.empty()) return parents;
@@ -270,7 +271,7 @@ class Core final : public AutomatonCore {
         return parents;
     }
 
-    // The operations and their order are those of the twin, so that the bits are.
+    // The operations and their order are those of the NumPy implementation, so that results are bit-identical.
     uint64_t limit_at(double W, int64_t& n_clamped, int64_t n_sites) const {
         const double p = s_.rules.p_layer * (1.0 + s_.rules.feedback * W / W_ref_);
         if (p > 1.0) n_clamped += n_sites;
@@ -279,7 +280,7 @@ class Core final : public AutomatonCore {
 
     // ---------------------------------------------------------------- the end of a step
 
-    // Keep what the step did; the counts of the own tiles become those of all.
+    // Store the result of the step; the counts are summed over all ranks.
     void write_back(Counts& counts) {
         const std::vector<int64_t> all = s_.sum([&] { return std::vector<int64_t>{counts.edge, counts.layer, gained(), misplaced()}; });
         counts.edge = all[0], counts.layer = all[1];
@@ -314,17 +315,17 @@ class Core final : public AutomatonCore {
             for (size_t k = 0; k < ids.count; ++k)
                 parts[i] += popcount(s_.cells()[ids.first[k]]) - popcount(s_.occupied[s_.band.word[ids.first[k]]]);
         });
-        // tiles that are not active are not looked at again, so nothing may change right beside them
+        // inactive tiles are not examined again, so nothing may change next to them
         for (int32_t id : s_.band.outer) s_.require_inside(id, s_.cells()[id] ^ s_.occupied[s_.band.word[id]]);
         return std::accumulate(parts.begin(), parts.end(), int64_t{0});
     }
 
-    // Tiles with a cell where there may be none.
+    // Count the tiles with a cell at a site that cannot be filled.
     int64_t misplaced() {
         return std::count_if(s_.band.own().begin(), s_.band.own().end(), [&](int32_t id) { return (s_.cells()[id] & ~s_.fill()[id]) != 0; });
     }
 
-    static constexpr size_t kDraws = 256;  // calls of the generator at once
+    static constexpr size_t kDraws = 256;  // calls of the generator per batch
 
     Stage<D> s_;
     Layer layer_;
@@ -332,7 +333,7 @@ class Core final : public AutomatonCore {
     Routing<D> routing_{s_, layer_};
     LevelSet<D> level_set_{s_, motility_};
     std::vector<Front> front_;
-    int64_t far_sight_ = 1;  // doubled where paths turned out to be longer
+    int64_t far_sight_ = 1;  // factor of the halo, doubled when paths turn out to be longer
     int64_t n_cells_ = 0, n_fillable_ = 0;
     const double* W_ = nullptr;
     bool W_per_site_ = false;

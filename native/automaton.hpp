@@ -1,4 +1,5 @@
-// The healing automaton, as docs/theory/automaton.md has it. Twin: src/cicatrix/healing/twin.py, same bits.
+// The healing automaton specified in docs/theory/automaton.md. NumPy reference implementation: src/cicatrix/healing/reference.py,
+// bit-identical.
 #pragma once
 
 #include <cstdint>
@@ -14,25 +15,25 @@ struct Rules {
     double p_edge, p_layer, feedback;
     int64_t layer_sites, substeps, min_free;
     bool level_set;
-    uint32_t path_noise;  // path costs are drawn from 0 .. path_noise
+    uint32_t path_noise;  // largest random addition to the cost of a site: drawn from 0 .. path_noise
     uint64_t seed;
 };
 
-// What one step did.
+// Counts of one step: edge divisions, layer divisions, dropped divisions, clamped probabilities.
 struct Counts {
     int64_t edge = 0, layer = 0, dropped = 0, clamped = 0;
 };
 
-// What this rank had to look at in the last step, and the memory that it holds.
+// Work of this rank in the last step, and its memory.
 struct Work {
-    int64_t ranks = 0;  // that shared the step
-    int64_t stored_tiles = 0, active_tiles = 0;  // of 32 sites
-    int64_t mixed_sites = 0;                       // of tiles where the density is not everywhere the same
+    int64_t ranks = 0;  // number of ranks that shared the step
+    int64_t stored_tiles = 0, active_tiles = 0;  // tiles of 32 sites
+    int64_t mixed_sites = 0;                       // sites of tiles in which the density is not uniform
     int64_t edge_cells = 0, layer_cells = 0, shore_sites = 0;
     int64_t bytes = 0;
 };
 
-// Cells were lost or doubled: a fault of the program.
+// Thrown if cells were lost or duplicated, which would be a bug in the program.
 struct InvariantFault : std::runtime_error {
     using std::runtime_error::runtime_error;
 };
@@ -41,11 +42,11 @@ class AutomatonCore {
    public:
     virtual ~AutomatonCore() = default;
 
-    // One step under the cue W (one number, or one per site in C order) over W_ref. team: ranks that hold the same lattice and
-    // do the step together, or null.
+    // Do one step with the cue W / W_ref; W is one number, or one per site in C order. team: ranks that hold the same lattice
+    // and share the step, or null.
     virtual Counts advance(const double* W, bool per_site, double W_ref, Team* team) = 0;
 
-    // Rows of bits, least significant first, one after the other without a gap between bytes.
+    // Write the occupancy as rows of bits, least significant first; each row takes whole bytes, without gaps between rows.
     virtual void occupancy(uint8_t* rows) const = 0;
 
     virtual int64_t n_cells() const = 0;
@@ -54,7 +55,8 @@ class AutomatonCore {
     virtual Work work() const = 0;
 };
 
-// fillable, occupied: rows of bits as `occupancy` gives them. threads, tiles_per_piece (of work) >= 1; isa: "" for the best of this machine.
+// Make an automaton. fillable, occupied: rows of bits in the format of `occupancy`; threads, tiles_per_piece (smallest piece of
+// work) >= 1; isa: instruction set, "" for the best one of this machine.
 std::unique_ptr<AutomatonCore> make_automaton(const std::vector<int64_t>& shape, const uint8_t* fillable,
                                               const uint8_t* occupied, const Rules& rules, int64_t step, int threads,
                                               int64_t tiles_per_piece, const char* isa);

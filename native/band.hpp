@@ -1,4 +1,4 @@
-// The part of a lattice that a step works on: tiles of 32 sites within some hops of the front.
+// The part of a lattice that a step computes: tiles of 32 sites within some hops of the front.
 #pragma once
 
 #include <algorithm>
@@ -15,14 +15,14 @@
 
 namespace cicatrix {
 
-// Rows of tiles of a lattice, with a frame of one tile on every side, so that every neighbour exists.
+// Rows of tiles of a lattice, with a frame of one additional tile on every side, so that every tile has all neighbours.
 template <int D>
 struct Rows {
     using G = Geometry<D>;
-    std::array<int64_t, 2> across{1, 1};  // sites along the first and, in 3-D, the second axis
-    int64_t width = 0;                    // and along the last
-    int64_t outer = 0, inner = 1;         // rows of tiles along the first and the second axis, frame included
-    int64_t tiles = 0;                    // of a row, frame included
+    std::array<int64_t, 2> across{1, 1};  // number of sites along the first and, in 3-D, the second axis
+    int64_t width = 0;                    // number of sites along the last axis
+    int64_t outer = 0, inner = 1;         // number of rows of tiles along the first and the second axis, frame included
+    int64_t tiles = 0;                    // number of tiles in a row, frame included
 
     explicit Rows(const std::vector<int64_t>& n) : width(n[D - 1]) {
         for (int axis = 0; axis < D - 1; ++axis) across[axis] = n[axis];
@@ -33,7 +33,7 @@ struct Rows {
 
     int64_t count() const { return outer * inner; }
     int64_t n_lines() const { return across[0] * across[1]; }
-    // The n-th line of sites lies in this row of tiles, as this line of its tiles.
+    // Row of tiles that contains the n-th line of sites, and which line of its tiles that is.
     int64_t row_of_line(int64_t n) const {
         const int64_t i = n / across[1] / G::height + 1;
         return D == 3 ? i * inner + n % across[1] / G::depth + 1 : i;
@@ -41,34 +41,34 @@ struct Rows {
     int line_of_tile(int64_t n) const {
         return static_cast<int>(n / across[1] % G::height * G::depth + (D == 3 ? n % across[1] % G::depth : 0));
     }
-    // Number, in the C order of the lattice, of the first site of the row's first tile; nonsense on the frame.
+    // Number (in the C order of the lattice) of the first site of the row's first tile; meaningless on the frame.
     int64_t first_site(int64_t row) const {
         const int64_t i = (row / inner - 1) * G::height, j = D == 3 ? (row % inner - 1) * G::depth : 0;
         return (i * across[1] + j) * width;
     }
-    // How much further the first site of a line of a tile is.
+    // Difference of site number between the first site of a line of a tile and the first site of the tile.
     int64_t line(int number) const { return (number / G::depth * across[1] + number % G::depth) * width; }
     bool on_frame(int64_t row) const {
         const int64_t i = row / inner, j = row % inner;
         return i == 0 || i == outer - 1 || (D == 3 && (j == 0 || j == inner - 1));
     }
-    // Where the first site of a tile lies on the Morton curve.
+    // Position of the first site of a tile on the Morton curve.
     uint64_t place(int64_t word) const {
         const int64_t row = word / tiles;
         return morton(row / inner * G::height, D == 3 ? row % inner * G::depth : 0, word % tiles * kPlaces);
     }
-    // How far in rows the row offset k leads.
+    // Difference of row number for row offset k.
     int64_t stride(int k) const { return G::row[k][0] * inner + G::row[k][1]; }
 };
 
-// A tile with free sites that have a neighbour which is not free: at which of its sites along the first axis (a bit for each),
-// and from place low to place high along the last.
+// A tile with free sites that have a neighbour which is not free. `first`: their positions along the first axis (one bit each);
+// `low`, `high`: range of their places along the last axis.
 struct Front {
     int64_t word;
     uint8_t first, low, high;
 };
 
-// One bit per tile of a lattice.
+// Set of tiles of a lattice, one bit per tile.
 template <int D>
 class TileSet {
     using G = Geometry<D>;
@@ -91,7 +91,7 @@ class TileSet {
         *here |= from & ~uint64_t{0} >> (63 - (last & 63));
     }
 
-    // Everything within some rows along the first and the second axis, in the range first .. last - 1 of the first.
+    // Extend the set by some rows along the first and the second axis, in the range first .. last - 1 of the first axis.
     void widen(int64_t along_first, int64_t along_second, int64_t first, int64_t last) {
         for (int64_t i = first; i < last && D == 3; ++i) spread(at(i * rows_.inner), rows_.inner, words_, along_second);
         spread(at(first * rows_.inner), last - first, rows_.inner * words_, along_first);
@@ -104,7 +104,7 @@ class TileSet {
         }
     }
 
-    // What is not in the other set, the frame apart.
+    // Set to the tiles that are not in the other set, without the frame.
     void complement(const TileSet& other, int64_t first, int64_t last) {
         for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
             uint64_t* to = bits_.data() + r * words_;
@@ -112,13 +112,13 @@ class TileSet {
         }
     }
 
-    // The other set and one tile more on every side.
+    // Set to the other set, extended by one tile on every side.
     void surround(const TileSet& other, int64_t first, int64_t last) {
         for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) beside(other.row(r), bits_.data() + r * words_);
         widen(1, 1, first, last);
     }
 
-    // Tiles of `among` within some hops of `from`.
+    // Set to the tiles of `among` within some hops of `from`.
     void near_to(const TileSet& from, int64_t hops, const TileSet& among, int64_t first, int64_t last) {
         std::vector<uint64_t> narrow(words_);
         for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r) {
@@ -132,7 +132,7 @@ class TileSet {
         for (int64_t w = first * rows_.inner * words_; w < last * rows_.inner * words_; ++w) bits_[w] &= among.bits_[w];
     }
 
-    // Only those of the other set that lie on a stretch of the Morton curve.
+    // Set to the tiles of the other set that lie in an interval of the Morton curve.
     void take(const TileSet& other, const Stretch& stretch, int64_t first, int64_t last) {
         for (int64_t r = first * rows_.inner; r < last * rows_.inner; ++r)
             for (int64_t w = 0; w < words_; ++w) {
@@ -147,7 +147,7 @@ class TileSet {
    private:
     uint64_t* at(int64_t r) { return bits_.data() + r * words_; }
 
-    // A row of tiles, and one more on either side of each.
+    // Extend a row of tiles by one tile on each side.
     void beside(const uint64_t* from, uint64_t* to) const {
         for (int64_t w = 0; w < words_; ++w) {
             to[w] = from[w] | from[w] << 1 | from[w] >> 1;
@@ -156,7 +156,7 @@ class TileSet {
         }
     }
 
-    // out[i] = or of in[i - reach .. i + reach], n rows of `size` words, by doubling.
+    // bits[i] = or of bits[i - reach .. i + reach] for n rows of `size` words, in place, by doubling.
     static void spread(uint64_t* bits, int64_t n, int64_t size, int64_t reach) {
         for (int64_t done = 0; done < reach;) {
             const int64_t shift = std::min(done + 1, reach - done);
@@ -177,13 +177,14 @@ class TileSet {
     std::vector<uint64_t> bits_, inner_;
 };
 
-// What one rank of several does of a band: it owns the tiles of a stretch, and computes others within some hops of them too.
+// Part of the band that one of several ranks computes: it owns the tiles of an interval of the Morton curve, and also computes
+// the tiles within `halo` hops (`core_halo` in the core) of them.
 struct Share {
     Stretch stretch;
     int64_t halo, core_halo;
 };
 
-// Stored tiles, numbered along the rows. Active ones have all their neighbours stored. Who works alone owns all active tiles.
+// Stored tiles, numbered along the rows. All neighbours of an active tile are stored. A single rank owns all active tiles.
 template <int D>
 class Band {
     using G = Geometry<D>;
@@ -193,10 +194,10 @@ class Band {
         : rows_(rows), near_(rows), core_(rows), own_(rows), stored_(rows), rim_(rows), outside_(rows), beyond_(rows),
           first_run_(rows.count() + 1) {}
 
-    // Tiles within `reach` hops of the front become active, those within `inner` make the core; all tiles if `whole`. Of several
-    // ranks (`share`) each keeps its own and their halo.
+    // Build the band: tiles within `reach` hops of the front are active, tiles within `inner` hops form the core; with `whole`
+    // all tiles are both. With several ranks (`share`), keep only the owned tiles and their halo.
     void build(const std::vector<Front>& front, int64_t reach, int64_t inner, bool whole, const Share* share, Pool& pool) {
-        int64_t low = 1, high = rows_.outer - 1;  // range of the first axis
+        int64_t low = 1, high = rows_.outer - 1;  // range along the first axis
         if (!whole) {
             low = rows_.outer, high = 0;
             for (const Front& f : front) {
@@ -229,7 +230,7 @@ class Band {
         enumerate(from * rows_.inner, to * rows_.inner, pool);
     }
 
-    // The id of a tile by its place in the framed lattice, -1 where it is not stored.
+    // Id of the tile at a place in the framed lattice; -1 if it is not stored.
     int32_t find(int64_t where) const {
         const int64_t r = where / rows_.tiles, b = where % rows_.tiles;
         if (r < first_row_ || r >= last_row_) return -1;
@@ -254,37 +255,38 @@ class Band {
     Beside beside() const { return beside_; }
     int32_t beside(int row, int32_t id) const { return row ? rows_beside_[row][id] : id; }
 
-    std::vector<int64_t> word;        // where the tile is in the framed lattice
+    std::vector<int64_t> word;        // place of the tile in the framed lattice
     std::vector<uint8_t> is_active;
     std::vector<uint8_t> is_frame;
     std::vector<int32_t> active, core;
     std::vector<uint8_t> is_core_or_rim;
-    std::vector<int32_t> rim;    // not of the core, but beside it
-    std::vector<int32_t> outer;  // own, with a tile beside it that no rank has active, the frame apart
-    std::vector<int64_t> first_site;  // number of lane 0
-    std::vector<int32_t> plane_ends;  // of each plane of the first axis, the tile after its last one
+    std::vector<int32_t> rim;    // tiles next to the core but not in it
+    std::vector<int32_t> outer;  // owned tiles next to a tile (not of the frame) that is active on no rank
+    std::vector<int64_t> first_site;  // site number of lane 0
+    std::vector<int32_t> plane_ends;  // for each plane of the first axis, the id after its last tile
 
    private:
     struct Run {
         int64_t first, last;  // tiles
-        int32_t id;           // of the first
+        int32_t id;           // id of the first tile
     };
 
     using Tiles = TileSet<D>;
 
     void keep_about_own(Tiles& set, int64_t hops, int64_t from, int64_t to) {
-        Tiles& about = stored_;  // not made yet
+        Tiles& about = stored_;  // used as scratch memory, as it has not been built yet
         about.near_to(own_, hops, set, from, to);
         std::swap(about, set);
     }
 
-    // Some rows further along the first axis, and how many sites to the left and to the right hops lead there.
+    // Row offset along the first axis, and how many sites to the left and right can be reached there.
     struct Along {
         int64_t rows, left, right;
     };
 
-    // What lies within `reach` hops of sites at these places of a tile along the first axis, whatever the second: whoever goes
-    // forth along one axis goes no further forth along another, and alike for back.
+    // Return the rows and sites within `reach` hops of sites at these places of a tile along the first axis, at any place along
+    // the second. A step (+-e_i or e_i - e_j) adds at most 1 to the sum of positive and of negative components, so forward steps
+    // along one axis use up the reach forward along the others, and likewise backward.
     static std::vector<Along> stretches(int places, int64_t reach) {
         std::vector<Along> found;
         for (int64_t rows = -Tiles::in_rows(reach, G::height); rows <= Tiles::in_rows(reach, G::height); ++rows) {
@@ -350,7 +352,7 @@ class Band {
         std::copy_if(core.begin(), core.end(), std::back_inserter(own_core_), [&](int32_t id) { return is_own(id); });
     }
 
-    static constexpr int64_t kMostTiles = int64_t{1} << 26;  // their sites have 31-bit numbers
+    static constexpr int64_t kMostTiles = int64_t{1} << 26;  // so that sites have 31-bit numbers
 
     struct Lists {
         std::vector<int32_t> active, core, rim, outer;
@@ -364,7 +366,7 @@ class Band {
         }
     }
 
-    // Tiles of a row that follow each other, numbered from n; returns the next number.
+    // Find the runs of consecutive tiles in a row and number the tiles from n; return the next number.
     int64_t find_runs(int64_t r, int64_t n) {
         const uint64_t* bits = stored_.row(r);
         for (int64_t w = 0; w < stored_.words(); ++w) {
@@ -407,7 +409,7 @@ class Band {
         }
     }
 
-    // Write down the ids of row `other` beside those of row r.
+    // Store, for each tile of row r, the id of the tile beside it in row `other`.
     void join(int64_t r, int64_t other, std::vector<int32_t>& out) {
         int32_t b = first_run_[other];
         for (int32_t a = first_run_[r]; a < first_run_[r + 1]; ++a) {

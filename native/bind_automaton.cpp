@@ -1,4 +1,4 @@
-// The automaton for Python.
+// Python bindings of the automaton.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 #include <nanobind/stl/string.h>
@@ -16,7 +16,7 @@ namespace {
 using Bits = nb::ndarray<const uint8_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 using Field = nb::ndarray<const double, nb::c_contig, nb::device::cpu>;
 
-// Ranks behind a Python object with rank, size and gather(bytes) -> list of bytes.
+// Team implemented by a Python object with rank, size and gather(bytes) -> list of bytes.
 class PythonTeam final : public Team {
    public:
     explicit PythonTeam(const nb::object& ranks)
@@ -42,7 +42,7 @@ class PythonTeam final : public Team {
 struct Automaton {
     std::vector<int64_t> shape;
     std::unique_ptr<AutomatonCore> core;
-    std::vector<int64_t> last{};  // row of the last step
+    std::vector<int64_t> last{};  // counts of the last step, a row of `advance`
 
     int64_t n_sites() const {
         int64_t n = 1;
@@ -101,19 +101,19 @@ void bind_automaton(nb::module_& m) {
         std::vector<std::string> names;
         for (const char* name : instruction_sets()) names.emplace_back(name);
         return names;
-    }, "Names of what this machine can run, the best one last.");
+    }, "Return the instruction sets that this machine can run, the fastest last.");
     nb::class_<Automaton>(m, "AutomatonCore",
-                          "Cells on a lattice, packed. Bits come and go as rows along the last axis, least significant bit "
-                          "first, each row in whole bytes.")
+                          "Cells on a lattice, packed. Bits are passed as rows along the last axis, least significant bit first, "
+                          "each row padded to whole bytes.")
         .def("__init__", &construct, nb::arg("shape"), nb::arg("fillable"), nb::arg("occupied"), nb::kw_only(),
              nb::arg("p_edge"), nb::arg("p_layer"), nb::arg("layer_sites"), nb::arg("motility_substeps"),
              nb::arg("level_set"), nb::arg("feedback"), nb::arg("min_free_neighbours"), nb::arg("path_noise"),
              nb::arg("seed"), nb::arg("step"), nb::arg("threads") = 1, nb::arg("tiles_per_piece") = 1024, nb::arg("isa") = "")
         .def("advance", &advance, nb::arg("n_steps"), nb::arg("W"), nb::arg("W_ref"), nb::arg("ranks") = nb::none(),
-             "Do steps; (n_steps, 5) int64: edge divisions, layer divisions, dropped, clamped, cells. With ranks (rank, size, "
-             "gather(bytes) -> list of bytes) all of them call this alike, on the same lattice.")
-        .def_prop_ro("last", [](const Automaton& a) { return a.last; }, "What the last step gave, as a row of advance.")
-        .def("occupancy", &occupancy, "The cells as packed rows, (n_bytes,) uint8.")
+             "Do steps and return their counts (n_steps, 5) int64: edge divisions, layer divisions, dropped, clamped, cells. "
+             "With ranks (rank, size, gather(bytes) -> list of bytes), every rank makes the same call on the same lattice.")
+        .def_prop_ro("last", [](const Automaton& a) { return a.last; }, "Counts of the last step, in the order of a row of advance.")
+        .def("occupancy", &occupancy, "Return the cells as packed rows (n_bytes,) uint8.")
         .def_prop_ro("n_cells", [](const Automaton& a) { return a.core->n_cells(); })
         .def_prop_ro("n_open", [](const Automaton& a) { return a.core->n_open(); })
         .def_prop_ro("step", [](const Automaton& a) { return a.core->step(); })
@@ -127,5 +127,5 @@ void bind_automaton(nb::module_& m) {
                 out["layer_cells"] = w.layer_cells, out["shore_sites"] = w.shore_sites, out["bytes"] = w.bytes;
                 return out;
             },
-            "What the last step had to look at (tiles of 32 sites, sites), and the bytes held.");
+            "Work of the last step (tiles of 32 sites, sites), and the bytes allocated.");
 }

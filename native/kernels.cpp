@@ -1,5 +1,5 @@
-// Compiled several times: CICATRIX_ISA names the instruction set. Plain loops only: nothing here may be shared by the linker
-// with code for another machine, so no standard containers.
+// This file is compiled several times; CICATRIX_ISA names the instruction set. It uses no standard containers, because the linker
+// must not merge functions of this file with those compiled for another instruction set.
 #include "kernels.hpp"
 
 #include <cstring>
@@ -10,14 +10,14 @@
 
 #include "philox.hpp"
 
-// Values of a tile stay in registers only if nothing is called with them.
+// Force inlining: values of a tile stay in registers only if they are not passed to a function call.
 #define ALWAYS __attribute__((always_inline))
 #define INLINE inline ALWAYS
 
 namespace cicatrix {
 namespace {
 
-// 32 lanes, in as many vectors as the machine's width asks for: the compiler takes wider ones apart lane by lane.
+// 32 lanes are stored in vectors of the machine's width, because the compiler splits wider vectors lane by lane.
 #if defined(__AVX512BW__)
 constexpr int kWidth = 64;
 #elif defined(__AVX2__)
@@ -28,7 +28,7 @@ constexpr int kWidth = 16;
 constexpr int kParts = 2 * kLanes / kWidth;
 typedef uint16_t Part __attribute__((vector_size(kWidth)));
 
-// Copied part by part: as an aggregate it would go through memory in pieces of another width, and wait there.
+// Copied part by part: copied as an aggregate it would go through memory in pieces of another width, which stalls.
 struct U16 {
     Part part[kParts];
 
@@ -55,7 +55,7 @@ INLINE U16 operator*(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { retu
 INLINE U16 operator&(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x & y; }); }
 INLINE U16 operator|(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x | y; }); }
 INLINE U16 operator^(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x ^ y; }); }
-// all ones in the lanes where it is so
+// comparisons give all ones in the lanes where they are true
 INLINE U16 operator>(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return reinterpret_cast<Part>(x > y); }); }
 INLINE U16 operator==(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return reinterpret_cast<Part>(x == y); }); }
 INLINE U16 least(U16 a, U16 b) { return each(a, b, [](Part x, Part y) { return x < y ? x : y; }); }
@@ -75,7 +75,7 @@ INLINE U16 shifted_right(U16 a) {
 }
 
 INLINE U16 load(const uint16_t* p) {
-    U16 v;  // part by part: a copy of the whole would go through memory
+    U16 v;  // loaded part by part: a copy of the whole would go through memory
     for (int i = 0; i < kParts; ++i) std::memcpy(&v.part[i], p + i * (kWidth / 2), sizeof(Part));
     return v;
 }
@@ -101,7 +101,7 @@ INLINE bool any(U16 v) {
 #endif
 }
 
-// ---- moves by one site. Each takes a tile and the one it borders on, and gives what every lane's neighbour holds.
+// ---- shifts by one site. Each takes a tile and the adjacent tile, and returns the value of every lane's neighbour.
 
 #if defined(__AVX512BW__)
 using Wide = __m512i;
@@ -109,7 +109,7 @@ INLINE Wide wide(U16 v) { return reinterpret_cast<Wide>(v.part[0]); }
 INLINE U16 narrow(Wide v) { return U16(reinterpret_cast<Part>(v)); }
 #endif
 
-// Line i of the answer is line order[i] of eight: 0 .. 3 of `a`, 4 .. 7 of `b`.
+// Select four of eight lines (0 .. 3 from `a`, 4 .. 7 from `b`): line k of the result is line ik.
 template <int i0, int i1, int i2, int i3>
 INLINE U16 lines(U16 a, U16 b) {
 #if defined(__AVX512BW__)
@@ -125,7 +125,7 @@ INLINE U16 lines(U16 a, U16 b) {
 #endif
 }
 
-// The neighbour before, and after, along the last axis.
+// Values of the neighbours before and after along the last axis.
 INLINE uint32_t before(uint32_t v, uint32_t left) { return (v << 1 & 0xFEFEFEFEu) | (left >> 7 & 0x01010101u); }
 INLINE uint32_t after(uint32_t v, uint32_t right) { return (v >> 1 & 0x7F7F7F7Fu) | (right << 7 & 0x80808080u); }
 
@@ -171,7 +171,7 @@ INLINE U16 after(U16 v, U16 right) {
 #endif
 }
 
-// What lies one site up (+) or down (-) the first and the second axis; `other` is the tile on that side.
+// Values one site up (+) or down (-) along the first and the second axis; `other` is the tile on that side.
 template <int D>
 INLINE U16 up_first(U16 v, U16 other) {
     return D == 2 ? lines<1, 2, 3, 4>(v, other) : lines<2, 3, 4, 5>(v, other);
@@ -196,7 +196,8 @@ INLINE uint32_t down_first(uint32_t v, uint32_t other) {
 INLINE uint32_t up_second(uint32_t v, uint32_t other) { return (v >> 8 & 0x00FF00FFu) | (other << 8 & 0xFF00FF00u); }
 INLINE uint32_t down_second(uint32_t v, uint32_t other) { return (v << 8 & 0xFF00FF00u) | (other >> 8 & 0x00FF00FFu); }
 
-// Call use(what every lane sees) for each direction, in the order of the specification; at(row, 1) is the tile to the right.
+// Call use(neighbour values of all lanes) for each direction, in the order of docs/theory/automaton.md; at(row, 1) is the tile to
+// the right.
 template <int D, class At, class Use>
 INLINE void each_neighbour(At&& at, Use&& use) {
     const auto here = at(0, 0), left = at(0, -1), right = at(0, 1), above = at(1, 0), below = at(2, 0);
@@ -230,8 +231,8 @@ INLINE void each_neighbour(int32_t id, Beside beside, const uint32_t* bits, Use&
     each_neighbour<D>([=](int row, int right) ALWAYS { return bits[(row ? beside[row][id] : id) + right]; }, use);
 }
 
-// What all neighbours together give under an operation whose order does not matter. What lies on the same side is joined before
-// it is moved.
+// Combine the values of all neighbours by a commutative, associative operation. Values from the same side are combined before
+// they are shifted, to save shifts.
 template <int D, class At, class Join>
 INLINE auto join_neighbours(At&& at, Join&& join) {
     const auto here = at(0, 0), left = at(0, -1), right = at(0, 1), above = at(1, 0), below = at(2, 0);
@@ -251,7 +252,7 @@ INLINE auto join_neighbours(At&& at, Join&& join) {
     return join(all, join(up_first<D>(up, up_other), down_first<D>(down, down_other)));
 }
 
-// The same of those neighbours that lie in the tile itself; `none` is what joining does not change.
+// The same for the neighbours within the tile itself; `none` is the neutral element of the operation.
 template <int D, class Join>
 INLINE U16 join_within(U16 here, U16 none, Join&& join) {
     const U16 back = before(here, none), forth = after(here, none);
@@ -276,7 +277,7 @@ INLINE uint32_t join_neighbours(int32_t id, Beside beside, const uint32_t* bits,
     return join_neighbours<D>([=](int row, int right) ALWAYS { return bits[(row ? beside[row][id] : id) + right]; }, join);
 }
 
-// One 32-bit mask from a comparison of 32 lanes.
+// Convert a lane mask (result of a comparison) to 32 bits.
 INLINE uint32_t bits_of(U16 mask) {
 #if defined(__AVX512BW__)
     return _mm512_movepi16_mask(reinterpret_cast<__m512i>(mask.part[0]));
@@ -296,7 +297,7 @@ INLINE uint32_t bits_of(U16 mask) {
 #endif
 }
 
-// All ones in the lanes whose bit is set.
+// Convert 32 bits to a lane mask: all ones in the lanes whose bit is set.
 INLINE U16 lanes_of(uint32_t bits) {
 #if defined(__AVX512BW__)
     return U16(reinterpret_cast<Part>(_mm512_movm_epi16(bits)));
@@ -311,8 +312,8 @@ INLINE U16 lanes_of(uint32_t bits) {
 #endif
 }
 
-// Some calls of the generator at once, one per 64-bit lane. Only the low half of a lane counts: what lies above it is never
-// cleared. Lanes are loaded in such an order that unpacking the words leaves the calls one after the other.
+// Several generator calls at once, one per 64-bit lane. Only the low half of a lane is used; the upper half is never cleared.
+// Lanes are loaded in such an order that unpacking the words leaves the calls in sequence.
 #if defined(__AVX512F__)
 using Lanes = __m512i;
 constexpr int kCalls = 8;
@@ -370,7 +371,7 @@ INLINE Lanes load_calls(const uint64_t* p) { return *p; }
 INLINE Lanes plus(Lanes a, uint64_t x) { return a + x; }
 #endif
 
-// The words of n groups of calls, side by side: one would wait for its own multiplications.
+// Random words of n groups of calls, interleaved to hide the latency of the multiplications.
 template <int n>
 INLINE void calls(const Lanes* group, uint64_t first, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t* out) {
 #if defined(__SSE2__)
@@ -407,8 +408,8 @@ void philox(const uint64_t* group, size_t n, uint32_t step, uint32_t phase, cons
                      out + 4 * i);
 }
 
-// The words of a tile's sites, in the order of its lanes. Where every line begins with the first of the four sites of a call,
-// eight calls give them all; else three calls for each line, of which some words are not used.
+// Random words of a tile's sites, in the order of its lanes. If every line begins with the first of the four sites of a call,
+// eight calls give them all; otherwise each line takes three calls, of which some words are not used.
 class TileWords {
    public:
     explicit TileWords(const Draw& draw) : draw_(draw) {
@@ -421,7 +422,7 @@ class TileWords {
         for (int i = 0; i < kTileCalls; i += kCalls) group_[i / kCalls] = load_calls(group + i);
     }
 
-    // Those of other sites than `meant` may be left out.
+    // Only the words of the sites in `meant` are needed; calls for other sites may be skipped.
     void get(int32_t id, uint32_t meant, uint32_t* words) const {
         const int64_t first = draw_.first_site[id];
         if (!lines_aligned_ || (first & 3)) return get_unaligned(first, words);
@@ -458,7 +459,7 @@ class TileWords {
     Lanes group_[kTileCalls / kCalls];
 };
 
-// Bit j: word j is below the bound.
+// Bit j is set if word j is below the bound.
 INLINE uint32_t bits_below(const uint32_t* word, uint32_t bound) {
 #if defined(__AVX512BW__)
     const __m512i limit = _mm512_set1_epi32(static_cast<int>(bound));
@@ -471,7 +472,7 @@ INLINE uint32_t bits_below(const uint32_t* word, uint32_t bound) {
 #endif
 }
 
-// floor(word n / 2^32) for 32 words, in two halves of a word, each of which fits into 32 bits with n.
+// floor(word n / 2^32) for 32 words; each word is multiplied in two halves, so that the products fit into 32 bits.
 INLINE U16 scaled(const uint32_t* word, uint32_t n) {
 #if defined(__AVX512BW__)
     const __m512i factor = _mm512_set1_epi32(static_cast<int>(n));
@@ -642,8 +643,8 @@ void dilate(Ids ids, Beside beside, const uint32_t* bits, uint32_t* out) {
 template <int D>
 bool relax_tile(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, uint8_t* dirty) {
     uint16_t* at = d + kLanes * size_t(id);
-    const U16 own = load(cost + kLanes * size_t(id)), most = ~own, first = load(at);  // more than `most` is no path
-    U16 around[Geometry<D>::rows][3];  // the tiles beside this one, loaded once
+    const U16 own = load(cost + kLanes * size_t(id)), most = ~own, first = load(at);  // larger d than `most` saturate: no path
+    U16 around[Geometry<D>::rows][3];  // adjacent tiles, loaded once
     for (int k = 0; k < Geometry<D>::rows; ++k)
         for (int right = -1; right <= 1; ++right)
             around[k][right + 1] = load(d + kLanes * size_t((k ? beside[k][id] : id) + right));
@@ -651,7 +652,7 @@ bool relax_tile(int32_t id, Beside beside, const uint16_t* cost, uint16_t* d, ui
     const U16 outside = join_neighbours<D>(
         [&](int row, int right) ALWAYS { return row || right ? around[row][right + 1] : far; }, least);
     U16 here = first;
-    while (true) {  // within the tile until it stands
+    while (true) {  // iterate within the tile to convergence
         const U16 inside = join_within<D>(here, far, least);
         const U16 next = least(here, least(least(inside, outside), most) + own);
         if (!any(next ^ here)) break;

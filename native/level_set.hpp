@@ -1,4 +1,4 @@
-// Redistribution by diffusion and level set, counted for each connected piece of the sites around the wound.
+// Redistribution by diffusion and level set, with the number of cells conserved in each wound component.
 #pragma once
 
 #include <algorithm>
@@ -17,7 +17,8 @@ class LevelSet {
    public:
     LevelSet(Stage<D>& stage, Motility<D>& motility) : s_(stage), motility_(motility) {}
 
-    // Diffuse, then keep the new number of cells in each connected piece of the sites around the wound; returns how many are new.
+    // Diffuse, then threshold each wound component (connected set of sites around a wound) at its new number of cells; return how
+    // many cells are new.
     int64_t place(const std::vector<Site>& parents) {
         s_.find_zone(std::max(s_.rules.layer_sites, s_.rules.substeps));
         find_pieces();
@@ -48,7 +49,7 @@ class LevelSet {
     }
 
    private:
-    // The level that `count` sites reach, and how many lie above it.
+    // Return the level that `count` sites reach, and the number of sites above it.
     static std::pair<uint16_t, int64_t> level_in(const std::vector<uint32_t>& histogram, int64_t count) {
         int64_t above = 0;
         for (size_t level = histogram.size(); level-- > 0;) {
@@ -58,7 +59,7 @@ class LevelSet {
         throw InvariantFault("the automaton looked for more cells than there are sites");
     }
 
-    // Neighbouring sites of one line, first .. last - 1, that belong to a piece.
+    // Consecutive sites of one line, first .. last - 1, that belong to a wound component.
     struct Run {
         int64_t line, first, last;
         int32_t wound;
@@ -71,7 +72,7 @@ class LevelSet {
         std::vector<Site> ties;
     };
 
-    // Tiles outside the band hold free sites only, or none.
+    // Find the wound components as runs of sites. Tiles outside the band have either only free sites or none.
     void find_pieces() {
         slot_.assign(s_.occupied.size(), -1);
         for (int32_t id : s_.band.active) slot_[s_.band.word[id]] = id;
@@ -133,7 +134,7 @@ class LevelSet {
         return *std::find_if(runs_.begin() + first_run_[line], end, [at](const Run& run) { return at < run.last; });
     }
 
-    // Call job(site) for every site of a run that lies in an active tile; returns how many do not.
+    // Call job(site) for every site of a run that lies in an active tile; return the number of the other sites.
     template <class Job>
     int64_t each_site(const Run& run, Job&& job) {
         int64_t n_far = 0;
@@ -166,7 +167,7 @@ class LevelSet {
         });
     }
 
-    // Beyond the core of the band it is that of undisturbed sites.
+    // Density U of a site; outside the core of the band it is that of an undisturbed site.
     uint16_t density(const uint16_t* u, Site site) {
         if (s_.band.is_core_or_rim[site >> 5]) return u[site];
         return s_.has(s_.cells(), site) ? G::bulk : 0;

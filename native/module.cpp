@@ -1,4 +1,4 @@
-// Compiled kernels of cicatrix. Each has a NumPy twin; core/native.py chooses.
+// Compiled kernels of cicatrix. Each has a NumPy reference implementation; core/native.py chooses between the two.
 #include <nanobind/nanobind.h>
 
 void bind_philox(nanobind::module_& m);

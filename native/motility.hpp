@@ -1,4 +1,4 @@
-// Motility: diffuse the cells in integers, then keep the level that holds as many.
+// Motility: diffuse the occupancy in integer arithmetic, then threshold it so that the number of cells is conserved.
 #pragma once
 
 #include <vector>
@@ -19,7 +19,7 @@ class Motility {
         const uint16_t* u = diffuse();
         const Level level = level_of(u);
         if (level.count == 0) return;
-        const bool keeps_all_bulk = level.value == G::bulk && level.at == level.wanted;  // so do the cells beyond the band
+        const bool keeps_all_bulk = level.value == G::bulk && level.at == level.wanted;  // as cells outside the band do
         if (!s_.is_whole && !(0 < level.value && level.value < G::bulk) && !keeps_all_bulk) {
             s_.too_flat = true;
             throw TooNarrow();
@@ -27,7 +27,7 @@ class Motility {
         keep_level(u, level);
     }
 
-    // Integer density after all sub-steps, in the core of the band and right beside it.
+    // Return the integer density after all sub-steps, in the core of the band and its rim.
     const uint16_t* diffuse() {
         const size_t n = kLanes * (s_.band.size() + 2);
         density_[0].resize(n), density_[1].resize(n);
@@ -57,7 +57,7 @@ class Motility {
     }
 
    private:
-    // All sub-steps while the planes they need are in the cache: plane p does sub-step i when plane p + 1 has done i - 1.
+    // Do all sub-steps while the slabs that they need are in the cache: slab p does sub-step i after slab p + 1 has done i - 1.
     template <class SubStep>
     void in_waves(SubStep&& sub_step) {
         const std::vector<size_t> cuts = s_.slabs(s_.band.core, kTilesPerWave, 1);
@@ -69,7 +69,7 @@ class Motility {
             }
     }
 
-    // Tiles around which every site can be filled need no weights of their own.
+    // Compute the weight of each site's own density, unless all tiles are plain, whose weight is constant.
     void find_weights() {
         if (s_.all_plain) return;
         own_.resize(kLanes * (s_.band.size() + 2));
@@ -80,15 +80,15 @@ class Motility {
 
     struct Level {
         uint16_t value = 0;
-        int64_t count = 0, at = 0, wanted = 0;  // cells; lanes at this level, and how many of them hold a cell
+        int64_t count = 0, at = 0, wanted = 0;  // number of cells; sites at this level, and how many of these get a cell
     };
 
     struct Window {
         int low, high;
     };
 
-    // The level U0 that as many sites of the core reach as there are cells in it. It is looked for about the last one, where few
-    // lanes are, and then anywhere. Leaves which lanes are above the window, and which in it.
+    // Return the level U0 that as many sites of the core reach as there are cells in it. The search starts in a window around
+    // the last level, then covers all levels. above_ and within_ then mark the sites above the window and in it.
     Level level_of(const uint16_t* u) {
         above_.resize(s_.band.size()), within_.resize(s_.band.size());
         Level level;
@@ -97,7 +97,7 @@ class Motility {
         return level;
     }
 
-    // Whether the level lies in the window.
+    // Search for the level in a window; return true if it lies there.
     bool find(const uint16_t* u, Window window, Level& level) {
         std::vector<int64_t> lanes = s_.sum([&] { return tally(u, window); });
         level.count = level.wanted = lanes.back();
@@ -110,7 +110,7 @@ class Motility {
         return false;
     }
 
-    // How many lanes of the own core have each density of the window, and a greater one; and how many cells there are.
+    // Count, in this rank's core, the sites at each density of the window, the sites above it, and the cells.
     std::vector<int64_t> tally(const uint16_t* u, Window window) {
         std::vector<std::vector<int64_t>> parts(s_.most_pieces());
         const size_t size = window.high - window.low + 1;
@@ -133,7 +133,7 @@ class Motility {
         return all;
     }
 
-    // Cells sit where U > level, and at the wanted number of the sites at the level.
+    // Put cells where U > level, and at the wanted number of the sites at the level.
     void keep_level(const uint16_t* u, const Level& level) {
         const bool takes_all = level.wanted == level.at;
         s_.words.clear();
@@ -150,13 +150,13 @@ class Motility {
         if (!takes_all) s_.settle_first(kMotilityTie, level.wanted);
     }
 
-    static constexpr int kAbout = 64;            // levels
-    static constexpr size_t kTilesPerWave = 64;  // some of them fit into the first cache, with all their sub-steps
+    static constexpr int kAbout = 64;            // half width of the search window, in levels
+    static constexpr size_t kTilesPerWave = 64;  // smallest slab; a few of them fit into the first-level cache
 
     Stage<D>& s_;
     Values density_[2], own_;
     std::vector<uint32_t> above_, within_;
-    int last_ = G::bulk / 2;  // level
+    int last_ = G::bulk / 2;  // level of the last step
 };
 
 }  // namespace cicatrix

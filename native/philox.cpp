@@ -1,4 +1,5 @@
-// Philox for arrays of counters. Twin: src/cicatrix/core/philox.py, same name, same arguments, same bits.
+// Philox for arrays of counters. NumPy reference implementation: src/cicatrix/core/philox.py, with the same name and arguments,
+// bit-identical.
 #include "philox.hpp"
 
 #include <nanobind/nanobind.h>

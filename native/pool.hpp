@@ -1,4 +1,4 @@
-// A few threads that share out numbered pieces of work. What a piece does must not depend on who does it.
+// Thread pool for numbered pieces of work. The result of a piece must not depend on the thread that does it.
 #pragma once
 
 #include <algorithm>
@@ -15,7 +15,7 @@ namespace cicatrix {
 
 class Pool {
    public:
-    // A piece of work has at least so many tiles: less is not worth a thread's while.
+    // tiles_per_piece: smallest piece of work, below which another thread does not pay off.
     Pool(int threads, int64_t tiles_per_piece) : tiles_per_piece_(static_cast<size_t>(tiles_per_piece)) {
         try {
             for (int i = 1; i < threads; ++i) workers_.emplace_back([this] { work(); });
@@ -34,13 +34,13 @@ class Pool {
     size_t tiles_per_piece() const { return tiles_per_piece_; }
     int most_pieces() const { return 4 * threads(); }
 
-    // Into how many pieces n tiles are cut.
+    // Number of pieces into which n tiles are divided.
     int pieces(size_t n) const {
         if (threads() == 1) return 1;
         return static_cast<int>(std::clamp<size_t>(n / tiles_per_piece_, 1, most_pieces()));
     }
 
-    // Call job(0) .. job(n - 1), each once, and wait for all; the first exception is thrown again here.
+    // Call each of job(0) .. job(n - 1) once and wait for all; rethrow the first exception.
     template <class Job>
     void each(int n, Job&& job) {
         if (workers_.empty() || n < 2) {
@@ -63,7 +63,7 @@ class Pool {
     }
 
    private:
-    static constexpr int kSpins = 2000;  // pieces are short: sleeping would take longer than they do
+    static constexpr int kSpins = 2000;  // pieces are short, so going to sleep would take longer than a piece
 
     void stop() {
         {

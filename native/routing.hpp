@@ -1,4 +1,4 @@
-// Redistribution along noisy shortest paths: every daughter is a token that walks to a free site.
+// Redistribution along noisy shortest paths: every daughter cell is a token that moves to a free site.
 #pragma once
 
 #include <algorithm>
@@ -9,10 +9,10 @@
 
 namespace cicatrix {
 
-// Cells of the layer, tile by tile.
+// Cells of the active layer, by tile.
 struct Layer {
     std::vector<int32_t> tiles, own;
-    std::vector<uint32_t> padded;  // bits by id, one more entry at either end
+    std::vector<uint32_t> padded;  // bits by id, with one more entry at each end
     bool is_shared = false;
 
     uint32_t* bits() { return padded.data() + 1; }
@@ -27,7 +27,7 @@ class Routing {
    public:
     Routing(Stage<D>& stage, Layer& layer) : s_(stage), layer_(layer) {}
 
-    // Let the own tokens of each rank find their sites; returns how many own sites were filled.
+    // Move the tokens of all ranks to free sites; return the number of sites owned by this rank that were filled.
     int64_t place(const std::vector<Site>& parents) {
         open_paths();
         relax_layer();
@@ -49,7 +49,7 @@ class Routing {
     const uint16_t* cost() const { return cost_.data() + kLanes; }
     uint16_t* distance() { return distance_.data() + kLanes; }
 
-    // Costs of the layer, prices of the empty sites beside it.
+    // Set the costs of the layer's sites, and the settling costs of the empty sites next to the layer.
     void open_paths() {
         const size_t n = kLanes * (s_.band.size() + 2);
         for (int32_t id : written_)
@@ -78,7 +78,7 @@ class Routing {
         return out;
     }
 
-    // The first round: down the field of the whole layer where it is known to be exact.
+    // First round: descend the distance field of the whole layer where it is known to be exact; search for the other tokens.
     std::vector<Site> walk_first(const std::vector<Site>& parents) {
         const uint64_t exact = s_.is_shared ? std::min<uint64_t>(kFar, kHopCost * (s_.sight - 1)) : kFar;
         std::vector<Site> tokens(parents), unsure;
@@ -94,7 +94,7 @@ class Routing {
 
     static constexpr uint16_t kUnit = kSettleCost / G::directions;
 
-    // The fewer cells beside an empty site, the dearer it is to settle there.
+    // Cost of settling at an empty site; it is higher the fewer cells are next to it.
     uint32_t price(Site site) const {
         const uint16_t known = cost()[site];
         const uint32_t extra = known == kFar ? below(s_.word_at(site, kSettle), kUnit) : known - kNoPath;
@@ -103,11 +103,11 @@ class Routing {
         return kUnit * n_free + extra;
     }
 
-    // Solve d = cost + least neighbour in the layer. Pieces are slabs of two planes or more, so that every other one can be
-    // worked on at once: none reads or marks what another writes. The solution is unique, whatever the order.
+    // Solve d = cost + smallest d of the neighbours in the layer. Pieces are slabs of at least two planes, and every other slab
+    // is relaxed at the same time, so that none reads or marks data that another writes. The solution is unique for any order.
     void relax_layer() {
         dirty_.assign(s_.band.size() + 2, 0);
-        for (int32_t id : shore_)  // paths begin beside it
+        for (int32_t id : shore_)  // d is known at the empty sites, so relaxation starts next to them
             for (int k = 0; k < G::rows; ++k) std::fill_n(dirty_.begin() + s_.band.beside(k, id), 3, 1);
         const size_t size = layer_.tiles.size() / s_.pool.pieces(layer_.tiles.size());
         const std::vector<size_t> cuts = s_.slabs(layer_.tiles, std::max<size_t>(size, 1), 2);
@@ -124,7 +124,7 @@ class Routing {
         }
     }
 
-    // Walk to the neighbour of least distance, the first among equals, until the site is free.
+    // Move to the neighbour of smallest distance, the first among equals, until the site is free.
     Site descend(Site site) {
         while (!s_.has(s_.free(), site)) {
             const Around others = s_.around(site);
@@ -136,7 +136,7 @@ class Routing {
         return site;
     }
 
-    // One token of each site stays there. Leaves the others in the list; returns those that this rank has to move.
+    // Settle one token at each site. The others remain in the list; return those that this rank has to move.
     std::vector<Site> land(std::vector<uint64_t>& tokens) {
         std::sort(tokens.begin(), tokens.end());
         std::vector<Site> mine;
@@ -161,7 +161,7 @@ class Routing {
         cost()[site] = static_cast<uint16_t>(kHopCost + below(s_.word_at(site, kPathCost), s_.rules.path_noise + 1));
     }
 
-    // Move tokens to free sites, those without a path are dropped.
+    // Move tokens to free sites and drop those without a path.
     std::vector<Site> walk(const std::vector<Site>& tokens) {
         std::vector<Site> done(tokens.size());
         s_.ranges(tokens.size(), kTilesPerToken, [&](int, size_t first, size_t last) {
@@ -173,15 +173,15 @@ class Routing {
         return done;
     }
 
-    // Where one token goes, without the field: Dijkstra's search from its site outwards. Ends where descending would.
+    // Destination of one token without the distance field, by Dijkstra's algorithm from its site; the same as by descending.
     class Search {
        public:
         explicit Search(Routing& routing) : r_(routing), table_(256) {}
 
         Site nearest(Site start) {
             begin(start);
-            const uint32_t longest = kFar - r_.cost()[start];  // sums from here on are no path
-            uint32_t least = longest;  // of the ways to free sites
+            const uint32_t longest = kFar - r_.cost()[start];  // lengths from here on count as no path
+            uint32_t least = longest;  // length of the shortest path to a free site so far
             for (size_t n = 0; !heap_.empty() && heap_.front().length <= least && heap_.front().length < longest; ++n) {
                 std::pop_heap(heap_.begin(), heap_.end());
                 const Reached here = heap_.back();
@@ -198,12 +198,12 @@ class Routing {
             uint32_t length;
             Site site;
             uint32_t hops;
-            bool operator<(const Reached& other) const { return length > other.length; }  // the heap's top is the nearest
+            bool operator<(const Reached& other) const { return length > other.length; }  // puts the nearest at the heap's top
         };
         struct Entry {
             Site site = kNowhere;
             uint32_t length = 0, round = 0;
-            Site next = kNowhere;  // on a shortest way
+            Site next = kNowhere;  // next site on a shortest path
         };
 
         void begin(Site start) {
@@ -230,7 +230,7 @@ class Routing {
             }
         }
 
-        // Among the shortest ways the one that goes in the first direction at every site.
+        // Follow the shortest path that takes the first possible direction at every site.
         Site follow(Site start, uint32_t least) {
             for (size_t i = passed_.size(); i-- > 0;) {
                 const uint32_t length = find(passed_[i]).length;
@@ -259,7 +259,7 @@ class Routing {
             }
         }
 
-        // The entry of a site; a new one is infinitely far.
+        // Return the entry of a site; a new entry has infinite length.
         Entry& find(Site site) {
             if (2 * n_entries_ > table_.size()) grow();
             for (size_t i = place(site);; i = (i + 1) & (table_.size() - 1)) {
@@ -288,13 +288,13 @@ class Routing {
     };
 
     static constexpr Site kNowhere = Stage<D>::kNowhere;
-    static constexpr size_t kTilesPerToken = 16;  // of work, about
+    static constexpr size_t kTilesPerToken = 16;  // approximate work per token, in tiles
 
     Stage<D>& s_;
     Layer& layer_;
     Values cost_, distance_;
     std::vector<uint8_t> dirty_;
-    std::vector<int32_t> shore_, written_;  // tiles; costs and distances of those that are not written are kFar
+    std::vector<int32_t> shore_, written_;  // tiles; costs and distances are kFar in tiles that are not in written_
     int64_t n_settled_ = 0;
 };
 

@@ -1,4 +1,4 @@
-// Element matrices into the blocks of a sparse matrix. Twin: core/scatter.py.
+// Assembly of element matrices into the blocks of a sparse matrix. NumPy reference implementation: core/scatter.py.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -22,7 +22,8 @@ using Slots = nb::ndarray<const int32_t, nb::ndim<3>, nb::c_contig, nb::device::
 template <int N>
 using Array = nb::ndarray<const double, nb::ndim<N>, nb::c_contig, nb::device::cpu>;
 
-// rows (i, r) of an element's matrix are given in steps of row_step, columns (j, c) in steps of j_step and c_step
+// Add one element matrix to the blocks. Rows (i, r) of the matrix are row_length apart; columns (j, c) have the strides j_step
+// and c_step.
 template <size_t B>
 INLINE void scatter(double* data, const int32_t* slots, const double* matrix, size_t a, size_t row_length, size_t j_step,
                     size_t c_step) {
@@ -37,7 +38,8 @@ INLINE void scatter(double* data, const int32_t* slots, const double* matrix, si
         }
 }
 
-// matrix of one element, rows (a, i), columns (k, b): the sum over points of B A B and of columns times rows
+// Matrix of one element with rows (a, i) and columns (k, b): the sum over quadrature points of B A B, plus the sum of outer
+// products of columns and rows.
 template <size_t N, size_t D>
 struct Contraction {
     static constexpr size_t length = 3 * N;
@@ -105,7 +107,7 @@ FASTEST void contract_sheet(double* data, const int32_t* slots, const double* sl
     contract_all<4, 2>(data, slots, slopes, A, columns, rows, n, n_points, n_outer, b);
 }
 
-// block (i, j) of a matrix in compressed rows: left_i block right_j
+// Replace each block (i, j) of a matrix in block compressed row format by left_i block right_j.
 template <size_t B>
 INLINE void turn_all(double* data, const int32_t* starts, const int32_t* columns, const double* left, const double* right,
                      size_t n) {
@@ -183,9 +185,9 @@ void turn_blocks(Data data, Numbers starts, Numbers columns, Array<3> left, Arra
 
 void bind_scatter(nb::module_& m) {
     m.def("add_blocks", &add_blocks, nb::arg("data"), nb::arg("slots"), nb::arg("matrices"),
-          "Add element matrices to the blocks of a sparse matrix; the twin core/scatter.py tells the arguments.");
+          "Add element matrices to the blocks of a sparse matrix; the reference implementation core/scatter.py documents the arguments.");
     m.def("add_contracted", &add_contracted, nb::arg("data"), nb::arg("slots"), nb::arg("slopes"), nb::arg("A"),
-          nb::arg("columns"), nb::arg("rows"), "Contract element matrices and add them; the twin core/scatter.py tells the arguments.");
+          nb::arg("columns"), nb::arg("rows"), "Contract element matrices and add them; the reference implementation core/scatter.py documents the arguments.");
     m.def("turn_blocks", &turn_blocks, nb::arg("data"), nb::arg("starts"), nb::arg("columns"), nb::arg("left"), nb::arg("right"),
-          "Multiply blocks from both sides; the twin core/scatter.py tells the arguments.");
+          "Multiply blocks from both sides; the reference implementation core/scatter.py documents the arguments.");
 }

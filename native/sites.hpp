@@ -1,4 +1,4 @@
-// Sites of a band, probabilities as integers, and random words for lists of sites.
+// Sites of a band, probabilities as integer thresholds, and random words for lists of sites.
 #pragma once
 
 #include <cmath>
@@ -14,15 +14,15 @@ enum Phase : uint32_t { kEdgeDivision, kMotilityTie, kLayerDivision, kPathCost, 
 
 constexpr uint32_t kHopCost = 64, kSettleCost = 48;
 
-// The band was too narrow for the step to be exact: the step is done again in a wider one.
+// Thrown if the band is too narrow for the step to be exact; the step is then repeated in a wider band.
 struct TooNarrow {};
 
 inline uint32_t below(uint32_t word, uint64_t n) { return static_cast<uint32_t>((uint64_t{word} * n) >> 32); }
 
-// Integer form of a probability: an event happens where word < threshold.
+// Integer form of a probability: the event happens if word < threshold.
 inline uint64_t threshold(double p) { return static_cast<uint64_t>(std::floor(p * 4294967296.0)); }
 
-inline int popcount(uint32_t x) {  // the baseline of x86-64 has no instruction for it
+inline int popcount(uint32_t x) {  // in plain code, because baseline x86-64 has no instruction for it
     x -= x >> 1 & 0x55555555u;
     x = (x & 0x33333333u) + (x >> 2 & 0x33333333u);
     return static_cast<int>(((x + (x >> 4)) & 0x0F0F0F0Fu) * 0x01010101u >> 24);
@@ -30,7 +30,7 @@ inline int popcount(uint32_t x) {  // the baseline of x86-64 has no instruction 
 
 using Site = uint32_t;  // id * 32 + lane
 
-// Memory that begins where a cache line does, so that no tile lies across two.
+// Allocator of memory aligned to cache lines, so that no 64-byte tile crosses two of them.
 template <class T>
 struct LineAllocator {
     using value_type = T;
@@ -47,9 +47,9 @@ struct LineAllocator {
     bool operator!=(const LineAllocator<U>&) const { return false; }
 };
 
-using Values = std::vector<uint16_t, LineAllocator<uint16_t>>;  // 32 of each tile
+using Values = std::vector<uint16_t, LineAllocator<uint16_t>>;  // 32 values per tile
 
-// One random word per site of a list, four sites to a call of the generator.
+// One random word per site of a list; one call of the generator serves four sites.
 class Words {
    public:
     void clear() { sites_.clear(), groups_.clear(), places_.clear(); }

@@ -1,4 +1,4 @@
-// What the parts of a step share: the lattice, the band, the cells in it, and how work is shared out.
+// Data and helpers shared by the phases of a step: lattice, band, cells in the band, distribution of work.
 #pragma once
 
 #include <algorithm>
@@ -29,7 +29,7 @@ class Stage {
           kernels(the_kernels), by(kernels.dimension[D - 2]), pool(threads, tiles_per_piece), fillable(rows.count() * rows.tiles),
           occupied(fillable.size()), band(rows), step(first_step), is_plain_(fillable.size()) {}
 
-    // Which tiles of the lattice are plain: every site can be filled, there and in the tiles around.
+    // Find the plain tiles: all sites can be filled, in the tile itself and in the tiles around it.
     void find_plain() {
         for (int64_t row = 0; row < rows.count(); ++row) {
             if (rows.on_frame(row)) continue;
@@ -44,7 +44,7 @@ class Stage {
         }
     }
 
-    // Sites of the band, in tiles: cells, sites that can be filled, free sites.
+    // Load the tiles of the band: cells, sites that can be filled, free sites.
     void load() {
         const size_t n = band.size();
         cells_.resize(n + 2), fill_.resize(n + 2), free_.resize(n + 2), scratch_.resize(n + 2), plain_.resize(n);
@@ -67,9 +67,9 @@ class Stage {
     uint32_t* free() { return free_.data() + 1; }
     const uint8_t* plain() const { return plain_.data(); }
 
-    // ---- what several ranks do together; who works alone hears only itself
+    // ---- communication between ranks; with a single rank each function returns that rank's own data
 
-    // What all ranks find, one after the other. The band is too narrow for all if it is for one.
+    // Concatenate the results of all ranks. If the band is too narrow on one rank, all of them throw TooNarrow.
     template <class Find>
     auto together(Find&& find) {
         if (!is_shared) return find();
@@ -93,7 +93,7 @@ class Stage {
         return all;
     }
 
-    // Numbers that each rank counts on its own, added up one by one.
+    // Sum over the ranks of each of the numbers that a rank counts.
     template <class Count>
     std::vector<int64_t> sum(Count&& count) {
         size_t n = 0;
@@ -112,7 +112,7 @@ class Stage {
         uint64_t cells;
     };
 
-    // Tell the others which cells changed in some own tiles since the last step, and learn theirs.
+    // Exchange the tiles that changed since the last step: send those among `ids`, return those of all ranks.
     std::vector<Change> changes(const std::vector<int32_t>& ids) {
         return together([&] {
             std::vector<Change> mine;
@@ -122,7 +122,7 @@ class Stage {
         });
     }
 
-    // What edge division and motility did; they change no tile beyond the core.
+    // Exchange the results of edge division and motility, which change no tile outside the core.
     void share_cells() {
         if (!is_shared) return;
         const std::vector<Change> all = changes(band.own_core());
@@ -133,7 +133,7 @@ class Stage {
 
     void set_cells(int32_t id, uint32_t bits) { cells()[id] = bits, free()[id] = fill()[id] & ~bits; }
 
-    // A token's site by a name that all ranks know: its number; who works alone uses his own.
+    // Global identifier of a token's site: its lattice number; with a single rank, the local site itself.
     uint64_t name(Site site) const { return is_shared ? number(site) : site; }
 
     Site site_of(uint64_t name) const {
@@ -162,7 +162,7 @@ class Stage {
         return band.first_site[site >> 5] + lines[(site & 31) / kPlaces] + site % kPlaces;
     }
 
-    // All neighbours of a site, in the order of the specification.
+    // All neighbours of a site, in the order of docs/theory/automaton.md.
     struct Around {
         Site site[G::directions];
         const Site* begin() const { return site; }
@@ -189,26 +189,26 @@ class Stage {
         free()[site >> 5] &= ~(1u << (site & 31));
     }
 
-    // Share out 0 .. n - 1: job(piece number, first, last).
+    // Divide 0 .. n - 1 among the threads: job(piece number, first, last).
     template <class Job>
     void ranges(size_t n, Job&& job) {
         ranges(n, 1, job);
     }
 
-    // Each as much work as so many tiles.
+    // The same, with each item as much work as `weight` tiles.
     template <class Job>
     void ranges(size_t n, size_t weight, Job&& job) {
         const int used = pool.pieces(weight * n);
         pool.each(used, [&](int i) { job(i, n * i / used, n * (i + 1) / used); });
     }
 
-    // Share out a list of tiles: job(piece number, ids).
+    // Divide a list of tiles among the threads: job(piece number, ids).
     template <class Job>
     void pieces(const std::vector<int32_t>& ids, Job&& job) {
         ranges(ids.size(), [&](int i, size_t first, size_t last) { job(i, Ids{ids.data() + first, last - first}); });
     }
 
-    // What each piece finds among these tiles, one after the other: find(id, list).
+    // Concatenate, in order, what find(id, list) appends for each of these tiles.
     template <class T, class Find>
     void collect(const std::vector<int32_t>& ids, std::vector<T>& all, Find&& find) {
         all.clear();
@@ -235,7 +235,7 @@ class Stage {
         for (; bits; bits &= bits - 1) add_word(static_cast<Site>(id) * kLanes + __builtin_ctz(bits));
     }
 
-    // Fill the `wanted` sites in words, of all ranks, with the least (word, number).
+    // Fill, of the sites in `words` of all ranks, the `wanted` ones with the smallest (word, number).
     void settle_first(Phase phase, int64_t wanted) {
         struct Lot {
             uint64_t word, number;
@@ -258,7 +258,7 @@ class Stage {
             if (takes_all || draw(i) < order[wanted]) settle_at(words.site(i));
     }
 
-    // Sites within some hops of a free one, whatever lies between.
+    // Find the sites within some hops of a free site, through occupied and unfillable sites alike.
     void find_zone(int64_t hops) {
         zone[0] = free_, zone[1] = free_;
         collect(band.active, not_free_, [&](int32_t id, std::vector<int32_t>& found) {
@@ -270,11 +270,11 @@ class Stage {
             });
             std::swap(zone[0], zone[1]);
         }
-        for (int32_t id : band.outer)  // what would spread from here to tiles that are not active
+        for (int32_t id : band.outer)  // the zone must not extend to inactive tiles
             require_inside(id, zone[0][id + 1] & ~free()[id]);
     }
 
-    // All neighbours of these sites of a tile lie in active tiles, or beyond the lattice.
+    // Require that all neighbours of these sites of a tile lie in active tiles or outside the lattice; else throw TooNarrow.
     void require_inside(int32_t id, uint32_t sites) const {
         static constexpr Seen<D> seen;
         for (int k = 0; sites && k < G::rows; ++k)
@@ -292,11 +292,11 @@ class Stage {
         return words[number(site) & 3];
     }
 
-    // Cut a list of tiles between planes of the first axis, into slabs of at least `size` tiles and `planes` planes.
+    // Cut a list of tiles between planes of the first axis into slabs of at least `size` tiles and `planes` planes.
     std::vector<size_t> slabs(const std::vector<int32_t>& ids, size_t size, int64_t planes) const {
         std::vector<size_t> cuts{0};
         size_t i = 0;
-        int64_t first_plane = 0;  // of the slab
+        int64_t first_plane = 0;  // first plane of the slab
         for (int64_t plane = 0; i < ids.size(); ++plane) {
             if (i == 0) first_plane = plane;
             if (i - cuts.back() >= size && plane - first_plane >= planes) cuts.push_back(i), first_plane = plane;
@@ -321,22 +321,22 @@ class Stage {
     const Kernels& kernels;
     const Kernels::ByDimension& by;
     Pool pool;
-    std::vector<uint32_t> fillable, occupied;  // of the lattice
+    std::vector<uint32_t> fillable, occupied;  // tiles of the lattice
     Band<D> band;
     int64_t step;
     bool is_whole = false, too_flat = false;
     Team* team = nullptr;
-    bool is_shared = false;  // with the other ranks, this step
-    int64_t sight = 0;       // then: hops about the own tiles within which layer and cells are those of all
-    bool all_plain = false;  // all tiles of the band
+    bool is_shared = false;  // true if several ranks share this step
+    int64_t sight = 0;       // if so: hops around the owned tiles within which layer and cells are known
+    bool all_plain = false;  // true if all tiles of the band are plain
     Words words;
     Work work;
 
-    // Bits of the tiles of the band. Arrays by id have one more entry at either end.
+    // Bits of the tiles of the band. Arrays indexed by id have one more entry at each end.
     std::vector<uint32_t> zone[2];
 
    private:
-    // Where a direction leads from a lane: row offset, tiles to the right, lane there.
+    // Neighbour of a lane in one direction: row offset, tiles to the right, lane in that tile.
     struct Move {
         int8_t row, right, lane;
     };
@@ -366,8 +366,8 @@ class Stage {
     }
 
     std::vector<uint32_t> cells_, fill_, free_, scratch_;
-    std::vector<int32_t> not_free_;          // tiles that have a site which is not
-    std::vector<uint8_t> is_plain_, plain_;  // of the lattice, of the band
+    std::vector<int32_t> not_free_;          // tiles with a site that is not free
+    std::vector<uint8_t> is_plain_, plain_;  // by tile of the lattice, by tile of the band
     const Moves moves = all_moves();
     const int64_t lines[kLines] = {rows.line(0), rows.line(1), rows.line(2), rows.line(3)};
 };

@@ -1,4 +1,5 @@
-// Sites of two states that switch at random. Twin: src/cicatrix/core/switching.py, same name, same arguments, same bits.
+// Two-state sites that switch at random. NumPy reference implementation: src/cicatrix/core/switching.py, with the same name and
+// arguments, bit-identical.
 #include <nanobind/nanobind.h>
 #include <nanobind/ndarray.h>
 
@@ -23,10 +24,10 @@ using Out = nb::ndarray<nb::numpy, uint8_t, nb::ndim<2>>;
 using Limits = nb::ndarray<const uint64_t, nb::ndim<2>, nb::c_contig, nb::device::cpu>;
 using Key = nb::ndarray<const uint32_t, nb::ndim<1>, nb::c_contig, nb::device::cpu>;
 
-constexpr size_t kCalls = 32, kWords = 4, kSites = kCalls * kWords;  // of the generator, and sites, at a time
+constexpr size_t kCalls = 32, kWords = 4, kSites = kCalls * kWords;  // per block: generator calls, words per call, sites
 constexpr int64_t kBlocksPerPiece = 64;
 
-// Words of consecutive calls, word j of call i at [j][i]: plain loops over calls, which the compiler turns into vectors.
+// Random words of consecutive generator calls, word j of call i at [j][i]; the compiler vectorises the loops over calls.
 inline void words_of(uint64_t first, uint32_t step, uint32_t phase, const uint32_t* key, uint32_t (*w)[kCalls]) {
     for (size_t i = 0; i < kCalls; ++i) {
         w[0][i] = static_cast<uint32_t>(first + i);
@@ -46,16 +47,16 @@ inline void words_of(uint64_t first, uint32_t step, uint32_t phase, const uint32
         }
 }
 
-// Some sites through all steps; n of them are meant, the first one is site 4 * first.
+// Advance a block of n sites through all steps; its first site is number 4 * first.
 FASTEST void switch_block(const uint8_t* state, size_t n, uint64_t first, const uint64_t* up, const uint64_t* down, size_t stride,
                           size_t steps, uint32_t step, uint32_t phase, const uint32_t* key, uint8_t* out) {
-    uint32_t now[kWords][kCalls] = {};  // all ones where a site is up
+    uint32_t now[kWords][kCalls] = {};  // all ones if a site is up
     for (size_t i = 0; i < n; ++i) now[i % kWords][i / kWords] = state[i] ? ~0u : 0u;
     uint32_t w[kWords][kCalls];
     for (size_t s = 0; s < steps; ++s) {
         words_of(first, step + static_cast<uint32_t>(s), phase, key, w);
         const uint64_t rise = up[s * stride], fall = down[s * stride];
-        const uint32_t rises = rise ? ~0u : 0u, falls = fall ? ~0u : 0u;  // word < limit is word <= limit - 1, but for limit 0
+        const uint32_t rises = rise ? ~0u : 0u, falls = fall ? ~0u : 0u;  // word < limit is word <= limit - 1, unless limit = 0
         const uint32_t rise_to = static_cast<uint32_t>(rise - 1), fall_to = static_cast<uint32_t>(fall - 1);
         for (size_t j = 0; j < kWords; ++j)
             for (size_t i = 0; i < kCalls; ++i) {

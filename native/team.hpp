@@ -1,5 +1,5 @@
-// Ranks that do a step together. Each holds all bits of the lattice, works on the tiles it owns and a halo about them, and hears
-// of the others' cells by messages.
+// MPI ranks that share a step. Each stores all bits of the lattice, computes the tiles that it owns and a halo around them, and
+// receives the changes in other tiles by messages.
 #pragma once
 
 #include <algorithm>
@@ -15,13 +15,13 @@ class Team {
     virtual ~Team() = default;
     virtual int rank() const = 0;
     virtual int size() const = 0;
-    // The message of every rank, in their order. All ranks must come here alike.
+    // Return the messages of all ranks, in rank order. Collective: every rank must call it.
     virtual std::vector<std::string> gather(const std::string& mine) = 0;
 };
 
-// Place of a site on the Morton curve: sites that are near each other mostly have near places.
+// Position of a site on the Morton curve; neighbouring sites mostly have similar positions.
 inline uint64_t morton(uint64_t i, uint64_t j, uint64_t k) {
-    auto spread = [](uint64_t x) {  // 21 bits, two empty ones after each
+    auto spread = [](uint64_t x) {  // insert two zero bits after each of 21 bits
         x &= 0x1FFFFF;
         x = (x | x << 32) & 0x001F00000000FFFF;
         x = (x | x << 16) & 0x001F0000FF0000FF;
@@ -32,15 +32,15 @@ inline uint64_t morton(uint64_t i, uint64_t j, uint64_t k) {
     return spread(i) << 2 | spread(j) << 1 | spread(k);
 }
 
-// A stretch of the Morton curve.
+// Interval of the Morton curve.
 struct Stretch {
-    uint64_t first = 0, last = std::numeric_limits<uint64_t>::max();  // last included
+    uint64_t first = 0, last = std::numeric_limits<uint64_t>::max();  // inclusive
 
     static Stretch none() { return {1, 0}; }
     bool has(uint64_t place) const { return first <= place && place <= last; }
 };
 
-// The part-th of `parts` stretches with as many of these places each.
+// Interval number `part` of `parts` intervals that contain equally many of these positions.
 inline Stretch stretch_of(std::vector<uint64_t> places, int part, int parts) {
     Stretch out;
     auto cut = [&](int n) {

@@ -1,7 +1,11 @@
-"""What tests of several kinds build: case files, small bodies on small meshes."""
+"""Fixtures that several groups of tests share: case files, and small bodies on small meshes."""
 
+import ctypes
 import gc
+import sys
+from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 import skfem
@@ -10,17 +14,31 @@ from cicatrix.geometry.labels import TISSUES, Label
 from cicatrix.geometry.volume import Volume
 from cicatrix.kinds.lumpectomy.body import Anatomy
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.mechanics.body import Body, Frame
+from cicatrix.mechanics.body import Body, Discretization
 from cicatrix.mechanics.space import Space
 
 gc.set_threshold(
     50_000, 20, 50
-)  # what JAX traces stays, and is not worth looking through so often: a seventh of the time
+)  # objects that JAX traces stay alive; frequent garbage collection takes a seventh of the time
+MAX_RESIDENT_BYTES = 1_500_000_000  # resident in one process, after which it forgets what it compiled
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _forget_compiled():
+    """Give memory back after a module: JAX keeps everything that it has traced and compiled, some 10 MB per test second."""
+    yield
+    if sys.platform != "linux":
+        return
+    resident = int(Path("/proc/self/statm").read_text().split()[1]) * 4096
+    if resident > MAX_RESIDENT_BYTES:
+        jax.clear_caches()
+        gc.collect()
+        ctypes.CDLL(None).malloc_trim(0)  # glibc keeps what is freed
 
 
 @pytest.fixture(scope="session")
 def rectangle():
-    """Irregular triangles on a rectangle: (width, height, nx, ny) [mm] -> mesh; inner vertices moved by up to 15 %."""
+    """Return irregular triangles on a rectangle: (width, height, nx, ny) [mm] -> mesh; inner vertices are moved by up to 15 %."""
 
     def make(width, height, nx, ny):
         mesh = skfem.MeshTri.init_tensor(np.linspace(0, width, nx + 1), np.linspace(0, height, ny + 1))
@@ -35,15 +53,15 @@ def rectangle():
 
 @pytest.fixture(scope="session")
 def body_on():
-    """Body on a mesh, held where ``is_fixed`` says so of edge midpoints (2, n); skin on every outer edge."""
+    """Return a body on a mesh, fixed where ``is_fixed`` is true for edge midpoints (2, n), with skin on every outer edge."""
 
     def make(mesh, law, is_fixed, *, density=1e-6, fraction=None, skin=1.0, thickness=0.0):
         space = Space(mesh)
         facets = mesh.boundary_facets()
         held = facets[is_fixed(mesh.p[:, mesh.facets[:, facets]].mean(axis=1))]
-        frame = Frame(space, facets, np.unique(space.facet_nodes(held)))
+        discretization = Discretization(space, facets, np.unique(space.facet_nodes(held)))
         return Body(
-            frame,
+            discretization,
             law=law,
             density=np.full((space.n_elements, space.table.weight.size), density),
             fraction=np.ones(space.n_elements) if fraction is None else fraction,
@@ -56,7 +74,7 @@ def body_on():
 
 @pytest.fixture(scope="session")
 def slope():
-    """Fourth-order difference at 0 of a function of one number, in steps h: (function, h) -> value or array."""
+    """Return the fourth-order finite difference at 0 of a function of one number: (function, h) -> value or array."""
 
     def make(function, h):
         values = [function(k * h) for k in (-2, -1, 1, 2)]
@@ -67,7 +85,7 @@ def slope():
 
 @pytest.fixture
 def case_file(tmp_path):
-    """Case file of its own folder: text -> path."""
+    """Write a case file to a folder of its own: text -> path."""
 
     def write(text, name="case.toml"):
         path = tmp_path / name
@@ -79,7 +97,7 @@ def case_file(tmp_path):
 
 @pytest.fixture(scope="session")
 def half_disc():
-    """A half-disc breast of fat (y < 0) on a flat chest, with a small tumour."""
+    """Return a half-disc breast of fat (y < 0) on a flat chest, with a small tumour."""
 
     def make(radius_mm=30.0, tumour=True, chest=True):
         z, y, x = np.meshgrid(

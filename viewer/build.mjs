@@ -1,4 +1,4 @@
-// Bundles the libraries and our own scripts into the Python package's assets; --check says whether those are up to date.
+// Bundle the libraries and the viewer's scripts into the assets of the Python package; --check tests whether they are up to date.
 import { build } from "esbuild";
 import { existsSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { dirname, join } from "node:path";
@@ -21,7 +21,7 @@ async function outputs() {
   };
 }
 
-// name, version, licence and licence text of every package that the bundle holds a file of
+// name, version, licence and licence text of every package with a file in the bundle
 function licences(inputs) {
   const folders = new Set();
   for (const input of inputs) {
@@ -39,7 +39,7 @@ function licences(inputs) {
     const text = file ? readFileSync(join(path, file), "utf8").trim() : `(no licence file; package.json says ${licence})`;
     return `${about.name} ${about.version}: ${licence}\n\n${text}\n`;
   });
-  const head = "What the pages of cicatrix draw with, bundled unchanged into libraries.js, and under which licences.\n\n";
+  const head = "Libraries that the pages of cicatrix use to draw, bundled into libraries.js, with their licences.\n\n";
   return (head + blocks.join(`\n${"-".repeat(78)}\n\n`)).replace(/\r\n/g, "\n").replace(/[ \t]+$/gm, "");
 }
 
@@ -49,7 +49,7 @@ for (const [name, text] of Object.entries(made)) {
   const path = join(assets, name);
   if (!process.argv.includes("--check")) writeFileSync(path, text);
   else if (!existsSync(path) || readFileSync(path, "utf8") !== text) {
-    console.error(`${name} is not what viewer/ builds: run npm run build in viewer/ and commit it`);
+    console.error(`${name} is not what viewer/ builds: run "npm run build" in viewer/ and commit the result`);
     stale = 1;
   }
 }

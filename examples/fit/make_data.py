@@ -1,4 +1,4 @@
-"""Write biaxial.csv: what a tester would measure of a tissue whose numbers are known, noise included.
+"""Write biaxial.csv: synthetic biaxial measurements, with noise, of a tissue with known parameters.
 
 Three ramps, equal stretch, more along x and more along y, each up to 1.25; noise of 0.05 kPa, seed 1.
 """
@@ -15,18 +15,18 @@ from cicatrix.mechanics.point import Instant, control, history
 LAW = HolzapfelGasserOgden(mu=2.0, k1=3.0, k2=1.5, angle=np.deg2rad(30.0))
 NOISE_KPA = 0.05
 RATIOS = ((1.0, 1.0), (1.0, 0.5), (0.5, 1.0))
-LARGEST = 0.25  # strain
-ROWS = 16  # of a ramp
+LARGEST = 0.25  # largest strain
+ROWS = 16  # rows per ramp
 
 
 def stretches() -> np.ndarray:
-    """Stretches along x and y (n, 2), one ramp after the other."""
+    """Return stretches along x and y (n, 2), one ramp after the other."""
     ramp = LARGEST * np.arange(1, ROWS + 1) / ROWS
     return 1.0 + np.concatenate([ramp[:, None] * ratio for ratio in RATIOS])
 
 
 def measured(noise_kPa: float = NOISE_KPA, seed: int = 1) -> dict[str, np.ndarray]:
-    """Columns as those of a run's history.csv."""
+    """Return the columns, named as in the history.csv of a run."""
     xy = stretches()
     time_h = 0.01 * np.arange(len(xy))
     asked = Instant(3600.0 * time_h, np.column_stack([xy, np.zeros(len(xy))]), np.zeros(len(xy)))

@@ -1,4 +1,4 @@
-"""A breast between two plates, against the published explicit solution: prints claim | measured | holds (README.md says how)."""
+"""Compare a breast between two plates with the published explicit solution: prints claim | measured | holds (see README.md)."""
 
 from __future__ import annotations
 
@@ -26,36 +26,36 @@ from skfem.quadrature import get_quadrature
 from cicatrix.cases.paths import data_folder
 from cicatrix.geometry.tetrahedra import EDGES, boundary, neighbours, oriented, volumes, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.mechanics.body import Body, Frame
+from cicatrix.mechanics.body import Body, Discretization
 from cicatrix.mechanics.contact import Contact, Plate
 from cicatrix.mechanics.space import SolidSpace, tabulate
 from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
 FOLDER = "fe_reference_breastct3"
-# what the published input says
+# values of the published input
 MU = np.array([1.4876584389593062, 5.036691127418278, 6.6711140760507])  # fat, gland, skin [kPa]
 KAPPA = np.array([743.3333333333327, 2516.6666666666642, 3333.3333333333303])  # [kPa]
 DENSITY, GRAVITY = 1e-6, np.array([0.0, 4905.0, 0.0])  # kg/mm^3, mm/s^2
-BOTTOM, TOP, WAYS = 39.952, 166.66, (46.638, -15.0)  # y of the two plates at first, and how far they go [mm]
+BOTTOM, TOP, WAYS = 39.952, 166.66, (46.638, -15.0)  # initial y of the two plates and their displacements [mm]
 DT, DAMPING = 1e-5, 0.065  # s, 1/s
 UP = np.array([0.0, 1.0, 0.0])
 PLATES = [Plate(BOTTOM * UP, UP, WAYS[0] * UP), Plate(TOP * UP, -UP, WAYS[1] * UP)]
 ON_PLATE = 2e-3  # mm; the published displacements have six digits
-SLICE_MM = 3.0  # half the thickness of the slice that is drawn
-FIDELITY = 0.05  # how far an edge may leave the published surface, over its length
+SLICE_MM = 3.0  # half the thickness of the slice in the figure
+FIDELITY = 0.05  # largest distance of an edge from the published surface, relative to its length
 TOLERANCE = 1e-6
 COMPILE = ("g++", "-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math")
-RELAXED = (30.0, 50_000, 85_000)  # damping [1/s], steps of the ramp, of all, of a solution that comes to rest
-NEAR = 40  # tetrahedra that are looked at to find the one that a point is in
+RELAXED = (30.0, 50_000, 85_000)  # damping [1/s], steps of the load ramp, and all steps of the relaxed solution
+NEAR = 40  # number of candidate tetrahedra in the search for the one that contains a point
 
 
-# ---- what was published ---------------------------------------------------------------------------------------------------
+# ---- the published data ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The published mesh and its displacements."""
+    """Published mesh and its displacements."""
 
     points: np.ndarray
     """(n, 3) [mm]"""
@@ -70,7 +70,7 @@ class Reference:
 
     @classmethod
     def read(cls) -> Reference:
-        """Read it from the shared data; the solver's coordinates, which are rounded, not those of the mesh."""
+        """Read the published data, with the rounded coordinates of the solver instead of those of the mesh."""
         folder = data_folder() / FOLDER
         mesh, solved = meshio.read(folder / "volmesh3.vtu"), meshio.read(folder / "volmesh3_niftysim.vtu")
         return cls(
@@ -83,18 +83,18 @@ class Reference:
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """Of the tetrahedra (m,) [mm^3]."""
+        """Volumes of the tetrahedra (m,) [mm^3]."""
         return volumes(self.points, self.tetrahedra)
 
     @cached_property
     def mass(self) -> np.ndarray:
-        """A quarter of each tetrahedron around a node (n,) [kg]."""
+        """Nodal masses, a quarter of the mass of each adjacent tetrahedron (n,) [kg]."""
         shares = np.repeat(DENSITY * self.volumes / 4, 4)
         return np.bincount(self.tetrahedra.ravel(), shares, len(self.points))
 
     @cached_property
     def is_free(self) -> np.ndarray:
-        """Components that neither the chest nor a plate holds (n, 3) bool."""
+        """Displacement components that neither the chest nor a plate constrains (n, 3) bool."""
         y = self.points[:, 1] + self.displacement[:, 1]
         out = np.ones(self.points.shape, bool)
         out[self.is_chest, 2] = False
@@ -102,11 +102,11 @@ class Reference:
         return out
 
 
-# ---- what single precision did to it --------------------------------------------------------------------------------------
+# ---- the effect of single precision ---------------------------------------------------------------------------------------
 
 
 def single_mass(reference: Reference) -> np.ndarray:
-    """Nodal masses (n,) [kg] as NiftySim sums them: in single precision, tissue after tissue."""
+    """Return nodal masses (n,) [kg] as NiftySim sums them: in single precision, one tissue after the other."""
     single = reference.points.astype(np.float32).astype(float)
     shares = (volumes(single, reference.tetrahedra) * float(np.float32(DENSITY)) / 4).astype(np.float32)
     order = np.argsort(reference.tissue, kind="stable")
@@ -116,7 +116,7 @@ def single_mass(reference: Reference) -> np.ndarray:
 
 
 def coefficients(mass: np.ndarray, damping: float = DAMPING) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """A, B, C of a time step u' = A f + B u + C u_before, in the precision of the masses (n,) and NiftySim's order."""
+    """Return A, B, C of a time step u' = A f + B u + C u_before, in the precision of the masses (n,) and NiftySim's order."""
     one = mass.dtype.type
     dt, alpha, two = one(DT), one(damping), one(2)
     A = one(1) / (mass / dt / dt + alpha * mass / two / dt)
@@ -125,20 +125,23 @@ def coefficients(mass: np.ndarray, damping: float = DAMPING) -> tuple[np.ndarray
 
 
 def tether(mass: np.ndarray) -> np.ndarray:
-    """Spring per mass (n,) [1/s^2] that ties a node to its first place because B + C is not 1."""
+    """Return the spring per mass to the initial position (n,) [1/s^2] that results from B + C not being 1."""
     _, B, C = (c.astype(float) for c in coefficients(mass))
     return (1.0 - B - C) / DT**2
 
 
 def out_of_balance(reference: Reference) -> np.ndarray:
-    """Acceleration (n, 3) [mm/s^2] that the published field lacks a force for: -(internal - weight) / mass."""
+    """Return the residual of the published field as accelerations (n, 3) [mm/s^2]: -(internal force - weight) / mass."""
     body = linear_body(reference, 0.0)
-    X = body.frame.space.positions
+    X = body.discretization.space.positions
     return -body.residual(X, X + reference.displacement, GRAVITY) / reference.mass[:, None]
 
 
 def slope(reference: Reference, a: np.ndarray, by: np.ndarray) -> tuple[float, float]:
-    """Least-squares slope of accelerations by something (n, 3), free components weighted by mass, and its standard error."""
+    """Return the slope of a regression of accelerations a (n, 3) on ``by`` (n, 3) and its standard error.
+
+    Only free components are used, weighted by mass.
+    """
     free = reference.is_free
     w = np.broadcast_to(reference.mass[:, None], free.shape)[free]
     x, y = by[free], a[free]
@@ -151,16 +154,16 @@ def slope(reference: Reference, a: np.ndarray, by: np.ndarray) -> tuple[float, f
 
 @dataclass(frozen=True, eq=False)
 class Tethered(Body):
-    """A body whose points are tied to their first places: spring [1/s^2] times mass times the way."""
+    """Body with springs to the initial positions: force = spring [1/s^2] times mass times displacement."""
 
     spring: float = 0.0
 
     def residual(self, X, x, gravity, J_bar=None):  # noqa: D102
-        value, space = self.frame.space.table.value, self.frame.space
+        value, space = self.discretization.space.table.value, self.discretization.space
         way = np.einsum("qa,eai->eqi", value, (x - X)[space.element_nodes])
         force = np.einsum("eq,qa,eqi->eai", self.spring * self.density * self.volumes(X), value, way)
-        no_skin = np.zeros((*self.frame.skin_nodes.shape, 3))
-        return super().residual(X, x, gravity, J_bar) + self.frame.scatter([force, no_skin])
+        no_skin = np.zeros((*self.discretization.skin_nodes.shape, 3))
+        return super().residual(X, x, gravity, J_bar) + self.discretization.scatter([force, no_skin])
 
     def linearised(self, X, x, J_bar, *, in_plane, damping=0.0):  # noqa: D102
         matrix, rates = super().linearised(X, x, J_bar, in_plane=in_plane, damping=damping)
@@ -170,8 +173,8 @@ class Tethered(Body):
 
     @cached_property
     def _springs(self) -> np.ndarray:
-        """Blocks of the mass matrix times the spring."""
-        space, (_, pattern) = self.frame.space, self.frame.solved(False)
+        """Blocks of the mass matrix times the spring constant."""
+        space, (_, pattern) = self.discretization.space, self.discretization.solved(False)
         value, mass = space.table.value, self.spring * self.density * self.volumes(space.positions)
         data = pattern.zeros()
         for k in range(0, space.n_elements, 2048):
@@ -182,7 +185,7 @@ class Tethered(Body):
 
 @dataclass(frozen=True, eq=False)
 class LinearSpace(SolidSpace):
-    """Linear tetrahedra with one point, those of the published solution."""
+    """Linear tetrahedra with one quadrature point, as in the published solution."""
 
     quadrature_order: int = 1
 
@@ -203,7 +206,10 @@ LINEAR = tabulate(skfem.ElementTetP1(), *get_quadrature(skfem.MeshTet.elem, 1))
 
 
 def body_of(space: SolidSpace, is_chest: np.ndarray, tissue: np.ndarray, spring: float) -> Tethered:
-    """Fill a space whose chest nodes (n,) slide; tissue (n_elements, n_qp). Without a spring one node's x is held."""
+    """Build a body whose chest nodes (n,) bool slide, with tissue (n_elements, n_qp).
+
+    Without springs, x of one node is fixed.
+    """
     nodes = np.flatnonzero(is_chest)
     normals = np.tile([0.0, 0.0, 1.0], (len(nodes), 1))
     if not spring:
@@ -211,7 +217,7 @@ def body_of(space: SolidSpace, is_chest: np.ndarray, tissue: np.ndarray, spring:
         nodes, normals = np.append(nodes, centre), np.vstack([normals, [1.0, 0.0, 0.0]])
     none = np.zeros(0, int)
     return Tethered(
-        Frame(space, none, none, nodes, normals),
+        Discretization(space, none, none, nodes, normals),
         NeoHookean(MU[tissue], KAPPA[tissue]),
         np.full(tissue.shape, DENSITY),
         np.ones(space.n_elements),
@@ -222,13 +228,16 @@ def body_of(space: SolidSpace, is_chest: np.ndarray, tissue: np.ndarray, spring:
 
 
 def linear_body(reference: Reference, spring: float) -> Tethered:
-    """The published mesh as it is."""
+    """Return a body on the published mesh."""
     space = LinearSpace(reference.points, reference.tetrahedra)
     return body_of(space, reference.is_chest, reference.tissue[:, None], spring)
 
 
 def quadratic_body(reference: Reference, edge_mm: float, spring: float) -> Tethered:
-    """Quadratic tetrahedra of another edge in the published surface; tissue at their points is that of the published mesh."""
+    """Return a body of quadratic tetrahedra with another edge length inside the published surface.
+
+    The tissue at each quadrature point is that of the published mesh there.
+    """
     points, tetrahedra, is_chest = remeshed(reference, edge_mm)
     space = SolidSpace(*with_middles(points, tetrahedra))
     at = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
@@ -240,7 +249,7 @@ def quadratic_body(reference: Reference, edge_mm: float, spring: float) -> Tethe
 
 
 def remeshed(reference: Reference, edge_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points, tetrahedra and chest nodes (n,) bool of a mesh with edges of about that length (MMG)."""
+    """Remesh with MMG to edges of about ``edge_mm``; return points, tetrahedra and chest nodes (n,) bool."""
     faces = boundary(reference.tetrahedra)
     marks = np.where(reference.is_chest[faces].all(axis=1), 22, 21).astype(np.int32)
     mesh = mmgpy.MmgMesh3D()
@@ -257,7 +266,7 @@ def remeshed(reference: Reference, edge_mm: float) -> tuple[np.ndarray, np.ndarr
 
 
 def located(points: np.ndarray, tetrahedra: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Tetrahedra that points (k, 3) are in, or nearest to, (k,) and barycentric coordinates there (k, 4)."""
+    """Return the tetrahedra that contain points (k, 3), or the nearest ones, (k,), and barycentric coordinates (k, 4)."""
     corners = points[tetrahedra[:, :4]]
     inverse = np.linalg.inv((corners[:, 1:] - corners[:, :1]).transpose(0, 2, 1))
     _, candidates = cKDTree(corners.mean(axis=1)).query(at, k=NEAR)
@@ -272,7 +281,7 @@ def located(points: np.ndarray, tetrahedra: np.ndarray, at: np.ndarray) -> tuple
 
 
 def interpolated(space: SolidSpace, values: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """A field of quadratic tetrahedra (n_nodes, 3) at points (k, 3) -> (k, 3)."""
+    """Interpolate a field of quadratic tetrahedra (n_nodes, 3) to points (k, 3) -> (k, 3)."""
     cell, L = located(space.positions, space.element_nodes, at)
     middles = [4.0 * L[:, i] * L[:, j] for i, j in EDGES]
     N = np.column_stack([L * (2.0 * L - 1.0), *middles])
@@ -283,28 +292,34 @@ def interpolated(space: SolidSpace, values: np.ndarray, at: np.ndarray) -> np.nd
 
 
 def quadratic(reference: Reference, edge_mm: float, share: float) -> np.ndarray:
-    """Displacements (n, 3) [mm] at the published nodes, of tied quadratic tetrahedra after a share of the plates' way."""
+    """Return displacements of quadratic tetrahedra at the published nodes (n, 3) [mm].
+
+    The springs act, and plates and gravity have a fraction ``share`` of their final values.
+    """
     springs = tether(single_mass(reference))
     body = quadratic_body(reference, edge_mm, float(np.average(springs, weights=reference.mass)))
-    space = body.frame.space
-    plates = [Plate(p.point, p.normal, share * p.way) for p in PLATES]
-    pressed = Contact(TOLERANCE).pressed(body, space.positions, share * GRAVITY, plates)
-    return interpolated(space, pressed.x - space.positions, reference.points)
+    space = body.discretization.space
+    plates = [Plate(p.point, p.normal, share * p.displacement) for p in PLATES]
+    solution = Contact(TOLERANCE).solve(body, space.positions, share * GRAVITY, plates)
+    return interpolated(space, solution.x - space.positions, reference.points)
 
 
 def error(reference: Reference, u: np.ndarray) -> np.ndarray:
-    """Of displacements at the published nodes (n, 3) [mm], less that of the centre of mass along x, which nothing holds."""
+    """Return the error of displacements at the published nodes (n, 3) [mm].
+
+    The shift of the centre of mass along x, which nothing constrains, is subtracted.
+    """
     off = u - reference.displacement
     return off - [np.average(off[:, 0], weights=reference.mass), 0.0, 0.0]
 
 
 def rms(vectors: np.ndarray) -> float:
-    """Root of the mean square length (n, 3) -> [mm]."""
+    """Return the root mean square of the lengths of vectors (n, 3) [mm]."""
     return float(np.sqrt(np.mean(np.sum(vectors**2, axis=1))))
 
 
 def without_rigid(reference: Reference, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """What is left of errors (n, 3) [mm] when the body is moved as a whole, and the rotation (3,) [degrees]."""
+    """Return errors (n, 3) [mm] after subtracting the best rigid-body motion, and its rotation (3,) [degrees]."""
     at = reference.points + reference.displacement
     arm = at - np.average(at, axis=0, weights=reference.mass)
     turns = np.cross(np.eye(3)[:, None], arm).transpose(1, 2, 0)
@@ -314,7 +329,7 @@ def without_rigid(reference: Reference, off: np.ndarray) -> tuple[np.ndarray, np
 
 
 def fluctuation(reference: Reference, u: np.ndarray) -> tuple[float, float]:
-    """Spread of the pressure in tetrahedra of fat [kPa], and its correlation between those that share a face."""
+    """Return the standard deviation of pressure in tetrahedra of fat [kPa] and its correlation across common faces."""
     pressure = KAPPA[0] * (volumes(reference.points + u, reference.tetrahedra) / reference.volumes - 1.0)
     one, other = neighbours(reference.tetrahedra)
     both = (reference.tissue[one] == 0) & (reference.tissue[other] == 0)
@@ -323,14 +338,14 @@ def fluctuation(reference: Reference, u: np.ndarray) -> tuple[float, float]:
     )
 
 
-# ---- the explicit solution once more --------------------------------------------------------------------------------------
+# ---- the explicit solution repeated ---------------------------------------------------------------------------------------
 
 
 def explicit(reference: Reference, kind: str, share: float = 1.0) -> np.ndarray:
-    """Displacements (n, 3) [mm] after 100 000 steps of linear tetrahedra, by explicit.cpp.
+    """Compute displacements of linear tetrahedra (n, 3) [mm] with the explicit method of explicit.cpp.
 
-    ``single``: with the roundings of NiftySim's coefficients; ``double``: without; ``relaxed``: without, but tied by springs as
-    stiff, and damped until it rests, after a share of the plates' way.
+    ``single``: with the round-off of NiftySim's coefficients; ``double``: without; ``relaxed``: without, but with springs of
+    the same stiffness and damped until it is static, after a fraction ``share`` of plates and gravity.
     """
     mass = single_mass(reference)
     tied = tether(mass) * mass
@@ -355,18 +370,18 @@ def explicit(reference: Reference, kind: str, share: float = 1.0) -> np.ndarray:
 
 
 def _order(reference: Reference) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes and tetrahedra so that neighbours are near each other in memory."""
+    """Return an order of nodes and of tetrahedra in which neighbours are close in memory."""
     n, cells = len(reference.points), reference.tetrahedra
     places = np.repeat(cells, 4, axis=1).ravel(), np.tile(cells, (1, 4)).ravel()
     nodes = reverse_cuthill_mckee(sp.coo_array((np.ones(places[0].size), places), shape=(n, n)).tocsr())
     return nodes, np.argsort(np.argsort(nodes)[cells].min(axis=1), kind="stable")
 
 
-# ---- what is claimed ------------------------------------------------------------------------------------------------------
+# ---- the claims -----------------------------------------------------------------------------------------------------------
 
 
 def measure() -> dict[str, float]:
-    """What takes seconds, by name."""
+    """Return the quantities that take seconds to compute, by name."""
     reference = Reference.read()
     springs = tether(single_mass(reference))
     out = {"tether": float(np.average(springs, weights=reference.mass))}
@@ -377,7 +392,7 @@ def measure() -> dict[str, float]:
 
 
 def measure_explicit(fields: dict[str, np.ndarray]) -> dict[str, float]:
-    """What takes half an hour: errors of the three explicit solutions (n, 3) [mm] over the published displacements (RMS)."""
+    """Return the relative RMS errors of the three explicit solutions (n, 3) [mm]; computing these takes half an hour."""
     reference = Reference.read()
     out = {kind: rms(error(reference, u)) / rms(reference.displacement) for kind, u in fields.items()}
     ratios, again = (
@@ -388,15 +403,15 @@ def measure_explicit(fields: dict[str, np.ndarray]) -> dict[str, float]:
 
 
 def table(m: dict[str, float]) -> list[tuple[str, str, bool]]:
-    """Claim, measured, holds: what takes seconds."""
+    """Return the rows of the table that take seconds to compute: claim, measured value, whether it holds."""
     return [
         (
-            "rounded to single precision B + C of a time step ties nodes to their first places by 370 to 400 /s2 on average",
+            "in single precision, B + C of a time step acts like springs to the initial positions of 370 to 400 /s2 on average",
             f"{m['tether']:.0f} /s2",
             370 < m["tether"] < 400,
         ),
         (
-            "the published field lacks that force node by node: slope within three standard errors of 1",
+            "the residual of the published field is this force, node by node: slope within three standard errors of 1",
             f"{m['slope']:.2f} +- {m['slope_error']:.2f}",
             abs(m["slope"] - 1.0) < 3.0 * m["slope_error"] < 0.3,
         ),
@@ -409,21 +424,25 @@ def table(m: dict[str, float]) -> list[tuple[str, str, bool]]:
 
 
 def table_explicit(m: dict[str, float]) -> list[tuple[str, str, bool]]:
-    """Claim, measured, holds: the explicit solutions."""
+    """Return the rows of the table for the explicit solutions: claim, measured value, whether it holds."""
     return [
         (
-            "the explicit solution once more in single precision is within 2 % RMS of the published one",
+            "the explicit method repeated in single precision is within 2 % RMS of the published solution",
             f"{100 * m['single']:.2f} %",
             m["single"] < 0.02,
         ),
-        ("in double precision it is so too", f"{100 * m['double']:.0f} %", m["double"] < 0.02),
         (
-            "at rest linear tetrahedra with such tethers are within 4 % RMS of it",
+            "the explicit method in double precision is within 2 % RMS of it",
+            f"{100 * m['double']:.0f} %",
+            m["double"] < 0.02,
+        ),
+        (
+            "the static solution of linear tetrahedra with these springs is within 4 % RMS of it",
             f"{100 * m['relaxed']:.1f} %",
             m["relaxed"] < 0.04,
         ),
         (
-            "and have the same volume ratios in fat, tetrahedron by tetrahedron (correlation above 0.98)",
+            "and has the same volume ratios in fat, tetrahedron by tetrahedron (correlation above 0.98)",
             f"{m['same_ratios']:.3f}",
             m["same_ratios"] > 0.98,
         ),
@@ -431,13 +450,13 @@ def table_explicit(m: dict[str, float]) -> list[tuple[str, str, bool]]:
 
 
 def draw(fields: dict[str, np.ndarray]) -> None:
-    """Error of the explicit solutions in a slice across the chest, on the published shape."""
+    """Draw the error of the explicit solutions in a slice across the chest, on the published shape."""
     reference = Reference.read()
     at = reference.points + reference.displacement
     middle = np.abs(at[:, 0] - np.average(at[:, 0], weights=reference.mass)) < SLICE_MM
     words = {
         "single": "explicit, single precision",
-        "relaxed": "so tied, at rest",
+        "relaxed": "with springs, static",
         "double": "explicit, double precision",
     }
     figure, axes = plt.subplots(1, 3, figsize=(13, 4), layout="constrained", sharey=True)
@@ -449,13 +468,13 @@ def draw(fields: dict[str, np.ndarray]) -> None:
         ax.set_title(f"{title}: {rms(error(reference, fields[kind])):.2f} mm RMS", fontsize=9)
         ax.set_xlabel("z, from the chest [mm]")
         ax.set_aspect("equal")
-        figure.colorbar(dots, ax=ax, label="off the published field [mm]", shrink=0.8)
+        figure.colorbar(dots, ax=ax, label="difference from the published field [mm]", shrink=0.8)
     axes[0].set_ylabel("y, across the plates [mm]")
     figure.savefig(HERE / "error.png", dpi=110)
 
 
 def main() -> int:
-    """Print the table, draw the figure; 0 if every row is as expected.csv says."""
+    """Print the table and draw the figure; return 0 if every row agrees with expected.csv."""
     fields = {kind: explicit(Reference.read(), kind) for kind in ("single", "double", "relaxed")}
     draw(fields)
     return print_claims(HERE, table(measure()) + table_explicit(measure_explicit(fields)))

@@ -1,4 +1,4 @@
-"""The cavity of a breast over 26 weeks, by fields, against the clinic's shrinkage: claim | measured | holds."""
+"""Compute a breast cavity over 26 weeks with the continuum model and compare with clinical data: claim | measured | holds."""
 
 from __future__ import annotations
 
@@ -14,35 +14,35 @@ from cicatrix.kinds.registry import load_case
 from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
-MRI = {23.0: 1.0, 32.0: 0.60, 39.0: 0.48, 45.0: 0.40}  # day after surgery: volume over that of the first image
-WEEKS = {5.5: 47.0, 11.5: 30.0, 18.0: 21.0, 26.0: 9.0}  # week: mean volume [ml], of 3-8, 9-14 and later
+MRI = {23.0: 1.0, 32.0: 0.60, 39.0: 0.48, 45.0: 0.40}  # day after surgery: volume relative to the first image
+WEEKS = {3.0: 47.0, 8.0: 30.0, 11.5: 21.0, 20.0: 9.0}  # week: volume on planning CT [ml], README.md
 History = dict[str, np.ndarray]
 
 
 def measure(overrides: Sequence[str] = ()) -> History:
-    """The one run."""
+    """Run the case and return its history."""
     return cicatrix.simulate(load_case(HERE / "case.toml", overrides)).history
 
 
 def volume(history: History, days: float) -> float:
-    """Of the material that was wound at first, over its first."""
+    """Return the volume of the initially wounded material relative to its initial volume."""
     return float(np.interp(days, history["time_h"] / 24.0, history["cavity_volume_ratio"]))
 
 
 def table(h: History) -> list[tuple[str, str, bool]]:
-    """Claim, measured, holds."""
+    """Return the rows of the table: claim, measured value, whether it holds."""
     ratio, days = h["cavity_volume_ratio"], h["time_h"] / 24.0
     least = int(ratio.argmin())
     images = {day: volume(h, day) / volume(h, 23.0) for day in MRI}
     told = ", ".join(f"day {day:g}: {100 * images[day]:.0f} % against {100 * MRI[day]:.0f} %" for day in MRI)
     return [
         (
-            "the cavity shrinks, and most of what it loses is lost in the first eight weeks",
+            "the cavity shrinks, and most of the loss occurs in the first eight weeks",
             f"to {100 * volume(h, 56.0):.1f} % in 8 weeks, {100 * ratio[least]:.1f} % at least, {100 * ratio[-1]:.1f} % after 26",
             bool(1 - volume(h, 56.0) > 0.5 * (1 - ratio[least]) and ratio[least] < 0.95),
         ),
         (
-            "part of it stays: 10 % of the volume or more is gone after 26 weeks, and tissue at its edge has yielded for good",
+            "part of the contraction is permanent: after 26 weeks 10 % of the volume or more is lost, with permanent stretch",
             f"{100 * (1 - ratio[-1]):.1f} %; permanent volume stretch {h['lamP_volume_edge'][-1]:.2f} at the edge",
             bool(ratio[-1] < 0.9 and h["lamP_volume_edge"][-1] < 0.95),
         ),
@@ -53,13 +53,13 @@ def table(h: History) -> list[tuple[str, str, bool]]:
             bool(_half(h, "edge") < _half(h, "centre") < days[-1] and h["phi_centre"][-1] > 0.3),
         ),
         (
-            "it shrinks as the clinic's images do: within 10 points of 100, 60, 48 and 40 % on days 23, 32, 39 and 45",
+            "it shrinks as in clinical images: within 10 points of 100, 60, 48 and 40 % on days 23, 32, 39 and 45",
             told,
             max(abs(images[day] - MRI[day]) for day in MRI) < 0.1,
         ),
         (
-            "it shrinks as the clinic's means do: to less than half by weeks 14 to 26",
-            f"{100 * volume(h, 18 * 7):.0f} % in week 18 against {100 * 21 / 47:.0f} %",
+            "it shrinks as the clinical means: to less than half by weeks 14 to 26",
+            f"{100 * volume(h, 18 * 7):.0f} % in week 18 against {100 * 9 / 47:.0f} %",
             volume(h, 18 * 7) < 0.5,
         ),
     ]
@@ -71,7 +71,7 @@ def _half(h: History, where: str) -> float:
 
 
 def picture(h: History) -> Figure:
-    """Volume against the clinic's, and what centre and edge hold."""
+    """Draw the volume next to the clinical data, and cells, collagen and permanent stretch at centre and edge."""
     figure = Figure(figsize=(13, 3.6), layout="constrained")
     ax, *others = figure.subplots(1, 4)
     days = h["time_h"] / 24.0
@@ -82,24 +82,24 @@ def picture(h: History) -> Figure:
         [first * value for value in MRI.values()],
         "o",
         color="#d55e00",
-        label="images, over the model on day 23",
+        label="MRI, scaled to the model on day 23",
     )
-    at_start = volume(h, 5.5 * 7)
+    at_start = volume(h, 3.0 * 7)
     weeks = [week * 7 for week in WEEKS]
     ax.plot(
         weeks,
         [at_start * ml / 47.0 for ml in WEEKS.values()],
         "s",
         color="#0072b2",
-        label="means, over the model in week 5",
+        label="planning CT, scaled to the model in week 3",
     )
-    ax.set_ylabel("volume of the cavity over its first [1]")
+    ax.set_ylabel("volume of the cavity, relative to the start [1]")
     ax.set_ylim(0.0, 1.05)
     ax.legend(frameon=False, fontsize=8)
     titles = {
-        "rho": "cells, of healthy tissue [1]",
-        "phi": "collagen, of healthy tissue [1]",
-        "lamP_volume": "permanent stretch of volume [1]",
+        "rho": "cells, healthy tissue = 1",
+        "phi": "collagen, healthy tissue = 1",
+        "lamP_volume": "permanent volume ratio [1]",
     }
     for ax, (key, title) in zip(others, titles.items()):
         for where, colour in {"centre": "#d55e00", "edge": "#0072b2"}.items():
@@ -113,7 +113,7 @@ def picture(h: History) -> Figure:
 
 
 def main() -> int:
-    """Print the table, draw the figure; 0 if every row is as expected.csv says."""
+    """Print the table and draw the figure; return 0 if every row agrees with expected.csv."""
     measured = measure()
     picture(measured).savefig(HERE / "breast-cavity.png", dpi=110)
     return print_claims(HERE, table(measured))

@@ -1,4 +1,4 @@
-"""The round wound of a sheet over two weeks, by fields: claim | measured | holds."""
+"""Compute the circular wound in a sheet over two weeks with the continuum model: claim | measured | holds."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ RUNS = {
 }
 STYLES = {"as it is": "-", "numb cells": "--", "stays in shape": ":", "twice the elements": "-."}
 PANELS = {
-    "rho": "cells, of healthy tissue [1]",
-    "phi": "collagen, of healthy tissue [1]",
-    "c": "cytokine, of its largest [1]",
+    "rho": "cells, healthy tissue = 1",
+    "phi": "collagen, healthy tissue = 1",
+    "c": "cytokine, maximum = 1",
 }
 History = dict[str, np.ndarray]
 
 
 def measure(overrides: Sequence[str] = (), runs: Sequence[str] = tuple(RUNS)) -> dict[str, History]:
-    """The wound, and what changes when one thing is changed."""
+    """Run the reference case and one variant per changed parameter."""
     return {name: cicatrix.simulate(load_case(HERE / "case.toml", [*overrides, *RUNS[name]])).history for name in runs}
 
 
 def at(history: History, name: str, days: np.ndarray | float) -> np.ndarray:
-    """A column at times, linear between rows."""
+    """Interpolate a column of the history linearly to given times [days]."""
     return np.interp(days, history["time_h"] / 24.0, history[name])
 
 
 def apart(one: History, other: History, name: str = "ring_area_ratio") -> float:
-    """Largest difference at the ends of the days that both have in common: cubic between rows would tell less of rows."""
+    """Return the largest difference of two histories at the ends of days 1 to 14."""
     days = np.arange(1.0, 15.0)
     return float(np.abs(at(one, name, days) - at(other, name, days)).max())
 
 
 def table(m: dict[str, History]) -> list[tuple[str, str, bool]]:
-    """Claim, measured, holds."""
+    """Return the rows of the table: claim, measured value, whether it holds."""
     own = m["as it is"]
     ring, days = own["ring_area_ratio"], own["time_h"] / 24.0
     least = int(ring.argmin())
@@ -58,7 +58,7 @@ def table(m: dict[str, History]) -> list[tuple[str, str, bool]]:
     half = {where: float(np.interp(0.5, own[f"rho_{where}"], days)) for where in ("edge", "centre")}
     return [
         (
-            "the ring shrinks first and recoils a little before two weeks",
+            "the ring shrinks at first and recovers a little before two weeks",
             f"to {100 * ring[least]:.1f} % on day {days[least]:.1f}, {100 * ring[-1]:.1f} % on day 14",
             bool(
                 3.0 < days[least] < 14.0
@@ -67,39 +67,39 @@ def table(m: dict[str, History]) -> list[tuple[str, str, bool]]:
             ),
         ),
         (
-            "cells come from the edge and pass those of healthy tissue at the centre within two weeks",
-            f"half of them on day {half['edge']:.1f} at the edge, {half['centre']:.1f} at the centre; in the end "
+            "cells migrate from the edge, and their density at the centre exceeds that of healthy tissue within two weeks",
+            f"half of it on day {half['edge']:.1f} at the edge, {half['centre']:.1f} at the centre; in the end "
             f"{own['rho_edge'][-1]:.2f} and {own['rho_centre'][-1]:.2f}",
             bool(half["edge"] < half["centre"] < 14.0 and own["rho_centre"][-1] > 1.0),
         ),
         (
-            "collagen follows, at the centre after the edge, and is below that of healthy tissue after two weeks",
+            "collagen follows, later at the centre than at the edge, and is below that of healthy tissue after two weeks",
             f"{own['phi_edge'][-1]:.2f} at the edge, {own['phi_centre'][-1]:.2f} at the centre",
             bool(own["phi_centre"][-1] < own["phi_edge"][-1] < 1.0),
         ),
         (
-            "the pull of cells is what closes it: without it the ring stays",
-            f"by {np.abs(m['no pull']['ring_area_ratio'] - 1).max():.0e}",
+            "traction of cells closes the wound: without traction the ring does not change",
+            f"changes by {np.abs(m['no pull']['ring_area_ratio'] - 1).max():.0e}",
             bool(np.abs(m["no pull"]["ring_area_ratio"] - 1).max() < 1e-9),
         ),
         (
-            "part of it stays: with yielding tissue the wound shrinks more than with tissue that stays in shape",
-            f"least {100 * ring.min():.1f} % against {100 * stays['ring_area_ratio'].min():.1f} %; permanent area stretch at the "
-            f"edge {own['lamP_area_edge'][-1]:.3f}",
+            "part of the contraction is permanent: the wound shrinks more with than without permanent deformation",
+            f"least area {100 * ring.min():.1f} % against {100 * stays['ring_area_ratio'].min():.1f} %; permanent area stretch "
+            f"at the edge {own['lamP_area_edge'][-1]:.3f}",
             bool(ring.min() < stays["ring_area_ratio"].min() - 0.01 and own["lamP_area_edge"][-1] < 0.99),
         ),
         (
-            "mechanosensing speeds contraction up: the least area is smaller by more than 1 % of the first than with numb cells",
+            "mechanosensing increases contraction: the smallest area is lower by more than 1 % of the initial area",
             f"{100 * ring.min():.2f} % against {100 * numb['ring_area_ratio'].min():.2f} %",
             bool(numb["ring_area_ratio"].min() - ring.min() > 0.01),
         ),
         (
-            "converged in time: ten times the exactness moves the ring's area by less than 1e-3",
+            "converged in time: a tenth of the tolerance changes the area of the ring by less than 1e-3",
             f"{apart(own, exact):.1e}, {len(ring) - 1} steps against {len(exact['step']) - 1}",
             apart(own, exact) < 1e-3,
         ),
         (
-            "converged in the mesh: twice the elements a side move the ring's area by less than 1 %",
+            "converged in space: twice the elements per side change the area of the ring by less than 1 %",
             f"{apart(own, fine):.1e}; collagen at the edge by {apart(own, fine, 'phi_edge'):.1e}",
             apart(own, fine) < 0.01,
         ),
@@ -107,12 +107,12 @@ def table(m: dict[str, History]) -> list[tuple[str, str, bool]]:
 
 
 def picture(m: dict[str, History]) -> Figure:
-    """The ring's area, and what centre and edge hold."""
+    """Draw the area of the ring, and cells, collagen and cytokine at centre and edge."""
     figure = Figure(figsize=(13, 3.6), layout="constrained")
     ax, *others = figure.subplots(1, 4)
     for name, style in STYLES.items():
         ax.plot(m[name]["time_h"] / 24.0, m[name]["ring_area_ratio"], style, color="black", linewidth=1.4, label=name)
-    ax.set_ylabel("area of the ring over its first [1]")
+    ax.set_ylabel("area of the ring, relative to the start [1]")
     ax.legend(frameon=False, fontsize=8)
     for ax, (key, title) in zip(others, PANELS.items()):
         for where, colour in {"centre": "#d55e00", "edge": "#0072b2"}.items():
@@ -128,7 +128,7 @@ def picture(m: dict[str, History]) -> Figure:
 
 
 def main() -> int:
-    """Print the table, draw the figure; 0 if every row is as expected.csv says."""
+    """Print the table and draw the figure; return 0 if every row agrees with expected.csv."""
     measured = measure()
     picture(measured).savefig(HERE / "circular-wound.png", dpi=110)
     return print_claims(HERE, table(measured))

@@ -1,4 +1,4 @@
-"""Closure of the lumpectomy cavity on the clinic's time scale: prints claim | measured | holds (README.md says how)."""
+"""Compare the closure of a lumpectomy cavity with clinical volumes: prints claim | measured | holds (see README.md)."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ HERE = Path(__file__).parent
 SEEDS = range(5)
 CT_DAYS, CT_ML = np.array([21.0, 56.0, 80.5, 140.0]), np.array([47.0, 30.0, 21.0, 9.0])
 MRI_DAYS, MRI_FRACTION = np.array([23.0, 32.0, 39.0, 45.0]), np.array([1.0, 0.60, 0.48, 0.40])
-MRI_START_ML = 47.0  # only fractions are known: taken to start where the other series starts
+MRI_START_ML = 47.0  # assumed as in the CT series, because only fractions are published
 
 
 def sphere_radius(volume_ml: np.ndarray) -> np.ndarray:
-    """Radius of the sphere of a volume: [ml] -> [mm]."""
+    """Return the radius of a sphere of given volume: [ml] -> [mm]."""
     return np.cbrt(3000 * volume_ml / (4 * np.pi))
 
 
 def front_speed(days: np.ndarray, radius_mm: np.ndarray) -> tuple[float, float]:
-    """Least-squares speed of the front and its standard error [mm/day]."""
+    """Return the least-squares speed of the front and its standard error [mm/day]."""
     fit, residual, *_ = np.polyfit(days, radius_mm, 1, full=True)
     error = np.sqrt(residual[0] / (days.size - 2) / ((days - days.mean()) ** 2).sum()) if residual.size else 0.0
     return -float(fit[0]), float(error)
 
 
 def close(radius_mm: float, pitch_um: float, seed: int, **rates: float) -> tuple[np.ndarray, np.ndarray]:
-    """Heal a disc to closure without feedback: days and equivalent radius [mm] after every step."""
+    """Heal a disc to closure without feedback; return days and equivalent radius [mm] after every step."""
     reach = radius_mm + 0.5
     lattice = Lattice.covering((-reach, -reach), (reach, reach), pitch_um * 1e-3)
     open0 = (lattice.positions() ** 2).sum(axis=-1) < radius_mm**2
@@ -46,14 +46,14 @@ def close(radius_mm: float, pitch_um: float, seed: int, **rates: float) -> tuple
 
 
 def mid_speed(run: tuple[np.ndarray, np.ndarray]) -> float:
-    """Front speed between 3/4 and 1/4 of the first radius [mm/day]."""
+    """Return the front speed between 3/4 and 1/4 of the initial radius [mm/day]."""
     days, radius = run
     middle = (radius < 0.75 * radius[0]) & (radius > 0.25 * radius[0])
     return front_speed(days[middle], radius[middle])[0]
 
 
 def measure() -> dict[str, float]:
-    """All numbers of the table, by name."""
+    """Return all numbers of the table by name."""
     out: dict[str, float] = {}
     out["ct_mm_per_day"], out["ct_error"] = front_speed(CT_DAYS, sphere_radius(CT_ML))
     out["mri_mm_per_day"], out["mri_error"] = front_speed(MRI_DAYS, sphere_radius(MRI_START_ML * MRI_FRACTION))
@@ -70,7 +70,7 @@ def measure() -> dict[str, float]:
 
 
 def table(m: dict[str, float]) -> list[tuple[str, str, bool]]:
-    """Claim, measured, holds."""
+    """Return the rows of the table: claim, measured value, whether it holds."""
     return [
         (
             "front speed of the 12 mm disc within one standard error + 5 % of the CT series",
@@ -93,7 +93,7 @@ def table(m: dict[str, float]) -> list[tuple[str, str, bool]]:
             m["mri_mm_per_day"] < 1.5 * m["ct_mm_per_day"],
         ),
         (
-            "the data tell a 400 um layer of the same p_layer * layer from the default (> 10 % in speed)",
+            "the data distinguish a 400 um layer with the same p_layer * layer from the default (> 10 % in speed)",
             f"ratio {m['thin_layer_ratio']:.3f}",
             abs(m["thin_layer_ratio"] - 1) > 0.1,
         ),
@@ -101,7 +101,7 @@ def table(m: dict[str, float]) -> list[tuple[str, str, bool]]:
 
 
 def main() -> int:
-    """Print the table; 1 if a row differs from expected.csv."""
+    """Print the table; return 1 if a row differs from expected.csv."""
     print(f"p_edge {P_EDGE}, p_layer {P_LAYER}, layer {LAYER_UM:g} um")
     return print_claims(HERE, table(measure()))
 

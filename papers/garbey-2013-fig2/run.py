@@ -17,12 +17,12 @@ from cicatrix.kinds.registry import load_case
 from cicatrix.runs.claims import print_claims
 
 HERE = Path(__file__).parent
-ANGLES = (0, 60, 120, 180, 240, 300)  # of gravity in the section: 0 = towards her left, 90 = posterior
+ANGLES = (0, 60, 120, 180, 240, 300)  # direction of gravity in the section [degrees]: 0 = left, 90 = posterior
 SEEDS = range(1, 6)
 
 
 def directions() -> dict[str, np.ndarray]:
-    """Six directions in the section, and upright, which is along its normal; (3,) [mm/s^2]."""
+    """Return gravity (3,) [mm/s^2] by name: six directions in the section, and upright, which is along its normal."""
     g = acceleration_mm_s2(STANDARD_GRAVITY_M_S2)
     turned = {
         f"gravity at {a} degrees": g * np.array([np.cos(np.radians(a)), np.sin(np.radians(a)), 0.0]) for a in ANGLES
@@ -31,16 +31,16 @@ def directions() -> dict[str, np.ndarray]:
 
 
 def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tuple[dict[str, np.ndarray], dict]:
-    """Mean energies on the edge, one row per phantom (seed), one column per direction; profiles of the first."""
+    """Return mean energies along the edge (n_seeds, n_directions), before and after, and the profiles of the first phantom."""
     before, after, spread, pictures = [], [], [], {}
     for seed in seeds:
         case = load_case(HERE / "case.toml", [*overrides, f"run.seed={seed}"])
-        planned, cycle = prepare(case, anatomy_of(case)[0])
+        model, cycle = prepare(case, anatomy_of(case)[0])
         rows = []
         for name, gravity in directions().items():
-            x, x_fresh = loaded_in(planned, cycle, gravity)
-            fresh = cycle.body(cycle.unhealed(x_fresh))
-            profiles = edge_profile(planned, planned.intact, cycle.X, x), edge_profile(planned, fresh, cycle.X, x_fresh)
+            x, x_fresh = loaded_in(model, cycle, gravity)
+            before_it = edge_profile(model, model.intact, cycle.X, x)
+            profiles = before_it, edge_profile(model, cycle.opened, cycle.X, x_fresh)
             rows.append([profiles[0][1].mean(), profiles[1][1].mean(), profiles[1][1].max() / profiles[1][1].mean()])
             pictures.setdefault(name, profiles)
         a, b, c = np.array(rows).T
@@ -51,13 +51,13 @@ def measure(seeds: Iterable[int] = SEEDS, overrides: Sequence[str] = ()) -> tupl
 
 
 def table(m: dict[str, np.ndarray]) -> list[tuple[str, str, bool]]:
-    """Claim, measured, holds."""
+    """Return the rows of the table: claim, measured value, whether it holds."""
     ratio = m["after"] / m["before"]
     by_direction = m["after"][:, :6].max(axis=1) / m["after"][:, :6].min(axis=1)
     return [
         (
             "surgery changes the energy along the edge (mean after over before, every direction by more than 20 %)",
-            f"{ratio.mean():.2f} +- {ratio.mean(axis=1).std(ddof=1):.2f} (least {ratio.min():.2f}, most {ratio.max():.2f})",
+            f"{ratio.mean():.2f} +- {ratio.mean(axis=1).std(ddof=1):.2f} (from {ratio.min():.2f} to {ratio.max():.2f})",
             bool((np.abs(ratio - 1) > 0.2).all()),
         ),
         (
@@ -74,7 +74,7 @@ def table(m: dict[str, np.ndarray]) -> list[tuple[str, str, bool]]:
 
 
 def main() -> int:
-    """Print the table, draw the figure; 0 if every row is as expected.csv says."""
+    """Print the table and draw the figure; return 0 if every row agrees with expected.csv."""
     measured, pictures = measure()
     figures.edge_figure(pictures).savefig(HERE / "fig2.png", dpi=110)
     return print_claims(HERE, table(measured))

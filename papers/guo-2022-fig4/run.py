@@ -1,4 +1,4 @@
-"""Bonds of a cell on a stiffening substrate, with feedback (Guo, Mofrad & Buganza Tepole, Fig. 4): claim | measured | holds."""
+"""Bonds of a cell on a stiffening substrate with feedback (Guo, Mofrad & Buganza Tepole, Fig. 4): claim | measured | holds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from matplotlib import colormaps
 from matplotlib.figure import Figure
 
 import cicatrix
-from cicatrix.biology.adhesion import Adhesion, anchored
+from cicatrix.biology.adhesion import Adhesion, steady_state
 from cicatrix.biology.contraction import ConstantForce
 from cicatrix.kinds.adhesion.build import law_and_notes
 from cicatrix.kinds.adhesion.case import AdhesionCase
@@ -29,19 +29,19 @@ COLLAGEN = (
 
 
 def curves(law: Adhesion, stretch: np.ndarray) -> dict[str, np.ndarray]:
-    """Stiffness [pN/um], force [pN], bound fraction [1] and traction [kPa] in the steady state at stretches (n,)."""
-    at = anchored(law, stretch)
+    """Return stiffness [pN/um], force [pN], bound fraction [1] and traction [kPa] in the steady state at stretches (n,)."""
+    at = steady_state(law, stretch)
     names = {"k": at.stiffness, "force": at.force, "bound": at.steady, "traction": at.traction}
     return {"stretch": stretch} | {name: np.asarray(values) for name, values in names.items()}
 
 
 def held(law: Adhesion, force: float) -> Adhesion:
-    """The same cell with a constant force [pN]."""
+    """Return the same cell with a constant force [pN]."""
     return eqx.tree_at(lambda a: a.contraction, law, ConstantForce(force))
 
 
 def measure(overrides: Sequence[str] = ()) -> dict[str, dict[str, np.ndarray]]:
-    """Steady states with feedback and without, those on collagen, and the case's own samples beside their mean."""
+    """Return steady states with feedback, with constant force and on collagen, and Monte Carlo samples with the ODE solution."""
     case = load_case(HERE / "case.toml", overrides)
     assert isinstance(case, AdhesionCase)
     law, _ = law_and_notes(case)
@@ -62,12 +62,12 @@ def measure(overrides: Sequence[str] = ()) -> dict[str, dict[str, np.ndarray]]:
 
 
 def spread(values: np.ndarray) -> float:
-    """Largest less smallest over their mean [1]."""
+    """Return the range of values relative to their mean [1]."""
     return float(np.ptp(values) / values.mean())
 
 
 def table(m: dict[str, dict[str, np.ndarray]]) -> list[tuple[str, str, bool]]:
-    """Claim, measured, holds."""
+    """Return the rows of the table: claim, measured value, whether it holds."""
     feedback, fixed, fibre, sampled = (m[name] for name in ("feedback", "held", "collagen", "sampled"))
     t, k = feedback["traction"], feedback["k"]
     share = np.diff(np.log(t)) / np.diff(np.log(k))
@@ -81,21 +81,21 @@ def table(m: dict[str, dict[str, np.ndarray]]) -> list[tuple[str, str, bool]]:
             spread(feedback["bound"]) < 0.1,
         ),
         (
-            "it is the regulation of the force that keeps it: with the force of the middle stretch held, it changes more than "
-            "five times as much",
+            "regulation of the force keeps it constant: with the fixed force of the middle stretch it changes more than five "
+            "times as much",
             f"{fixed['bound'].min():.4f} to {fixed['bound'].max():.4f}, {100 * spread(fixed['bound']):.1f} %, at "
             f"{fixed['force'][0]:.2f} pN",
             spread(fixed["bound"]) > 5.0 * spread(feedback["bound"]),
         ),
         (
-            "traction rises with the tangent stiffness of the substrate, by more than half",
+            "traction increases with the tangent stiffness of the substrate, by more than half",
             f"{t[0]:.4f} to {t.max():.4f} kPa (x {t.max() / t[0]:.2f}) while k_eff goes from {k[0]:.0f} to {k.max():.0f} pN/um "
             f"(x {k.max() / k[0]:.2f}); d ln t / d ln k {share.min():.2f} to {share.max():.2f}",
             bool(t.max() > 1.5 * t[0] and (share > 0.0).all()),
         ),
         (
-            "the mean of the Monte Carlo samples is the solution of the ODE (4 sigma, at all times and stretches)",
-            f"{away.max():.2f} sigma at most, {np.sqrt((away**2).mean()):.2f} in the mean square, {away.size} points, "
+            "the mean of the Monte Carlo samples agrees with the solution of the ODE (4 sigma, at all times and stretches)",
+            f"{away.max():.2f} sigma at most, {np.sqrt((away**2).mean()):.2f} root mean square, {away.size} points, "
             f"{sampled['n']} bonds each",
             bool(away.max() < 4.0),
         ),
@@ -110,7 +110,7 @@ def table(m: dict[str, dict[str, np.ndarray]]) -> list[tuple[str, str, bool]]:
 
 
 def draw(m: dict[str, dict[str, np.ndarray]]) -> Figure:
-    """Samples over time; then stiffness, bound fraction, force and traction over stretch."""
+    """Draw samples over time, and stiffness, bound fraction, force and traction over stretch."""
     figure = Figure(figsize=(14, 7.2), layout="constrained")
     axes = figure.subplots(2, 3)
     sampled, times = m["sampled"], axes[0, 0]
@@ -133,7 +133,7 @@ def draw(m: dict[str, dict[str, np.ndarray]]) -> Figure:
     for ax, name, words in panels:
         ax.plot(m["feedback"]["stretch"], m["feedback"][name], color=FEEDBACK, label="feedback")
         if name != "k":
-            ax.plot(m["held"]["stretch"], m["held"][name], color=HELD, linestyle="--", label="force held")
+            ax.plot(m["held"]["stretch"], m["held"][name], color=HELD, linestyle="--", label="constant force")
             ax.legend(fontsize=8)
         _dress(ax, "stretch [1]", words)
     both = axes[1, 2]
@@ -150,7 +150,7 @@ def _dress(ax, x: str, y: str) -> None:
 
 
 def main() -> int:
-    """Print the table, draw the figure; 0 if every row is as expected.csv says."""
+    """Print the table and draw the figure; return 0 if every row agrees with expected.csv."""
     measured = measure()
     draw(measured).savefig(HERE / "fig4.png", dpi=110)
     return print_claims(HERE, table(measured))

@@ -1,4 +1,4 @@
-"""Where daughters appear when only the left half of the layer divides: prints claim | measured | holds."""
+"""Measure where daughters appear when only the left half of the layer divides: prints claim | measured | holds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton
-from cicatrix.healing.model import Cue
+from cicatrix.healing.cue import Cue
 from cicatrix.healing.rules import AutomatonRules
 from cicatrix.runs.claims import print_claims
 
@@ -25,11 +25,11 @@ SUBSTEPS = (4, 6, 8)
 VARIANTS = ("level-set", "route")
 LATTICE = Lattice((310, 310), 0.01, (0.0, 0.0))
 X = LATTICE.positions() - LATTICE.position(np.array([154.5, 154.5]))
-WOUND = (X**2).sum(axis=-1) < 1.0  # a disc of 100 sites' radius
+WOUND = (X**2).sum(axis=-1) < 1.0  # a disc with a radius of 100 sites
 
 
 def automaton(variant: str, n_substeps: int, p_layer: float, seed: int) -> Automaton:
-    """The disc with division in the layer only."""
+    """Return the automaton of the disc with division in the layer only."""
     rules = AutomatonRules(
         p_edge=0.0,
         p_layer=p_layer,
@@ -42,7 +42,10 @@ def automaton(variant: str, n_substeps: int, p_layer: float, seed: int) -> Autom
 
 
 def change(variant: str, n_substeps: int, seed: int, p_layer: float = 0.1) -> tuple[np.ndarray, int]:
-    """Cells gained and lost by one step with division, against the same step without: (+1, 0, -1) per site, daughters."""
+    """Return the effect of division in one step per site (+1 gained, -1 lost, 0) and the number of daughters.
+
+    The step is compared with the same step without division.
+    """
     quiet = automaton(variant, n_substeps, 0.0, seed)
     settled = quiet.advance(quiet.initial_state(), n_steps=3)
     left_only = Cue(np.where(X[..., 0] < 0, 0.0, -1.0), 1.0)  # F = -1 on the right: p = 0 there
@@ -53,7 +56,7 @@ def change(variant: str, n_substeps: int, seed: int, p_layer: float = 0.1) -> tu
 
 
 def measure(seeds: Iterable[int] = SEEDS) -> dict[str, np.ndarray]:
-    """Share of the daughters that appear on the right, (seeds, sub-steps) per variant."""
+    """Return the fraction of daughters that appear on the right, (seeds, sub-steps) for each variant."""
     shares = {name: [] for name in VARIANTS}
     for seed in seeds:
         for name in VARIANTS:
@@ -63,24 +66,24 @@ def measure(seeds: Iterable[int] = SEEDS) -> dict[str, np.ndarray]:
 
 
 def table(m: dict[str, np.ndarray]) -> list[tuple[str, str, bool]]:
-    """Claim, measured, holds."""
+    """Return the rows of the table: claim, measured value, whether it holds."""
 
     def show(name: str) -> str:
         means = ", ".join(f"{100 * share:.1f} % ({n} sub-steps)" for n, share in zip(SUBSTEPS, m[name].mean(axis=0)))
-        return f"{means}; least {100 * m[name].min():.1f} %, most {100 * m[name].max():.1f} %"
+        return f"{means}; from {100 * m[name].min():.1f} to {100 * m[name].max():.1f} %"
 
     return [
         (
-            "one level set for a wound puts 35 to 60 % of the daughters of its left half on its right side",
+            "one level set for the whole wound places 35 to 60 % of the daughters of its left half on the right side",
             show("level-set"),
             bool((m["level-set"] > 0.35).all() and (m["level-set"] < 0.6).all()),
         ),
-        ("along paths at most 2 % arrive there", show("route"), bool((np.abs(m["route"]) < 0.02).all())),
+        ("with paths, at most 2 % appear there", show("route"), bool((np.abs(m["route"]) < 0.02).all())),
     ]
 
 
 def draw() -> None:
-    """Sites that gained and lost a cell by division, both variants."""
+    """Draw the sites that gained or lost a cell by division, for both variants."""
     figure, axes = plt.subplots(1, 2, figsize=(10, 5), layout="constrained", sharey=True)
     for ax, name in zip(axes, VARIANTS):
         gained, n_new = change(name, 8, 1)
@@ -103,7 +106,7 @@ def draw() -> None:
 
 
 def main() -> int:
-    """Print the table, draw the figure; 0 if every row is as expected.csv says."""
+    """Print the table and draw the figure; return 0 if every row agrees with expected.csv."""
     draw()
     return print_claims(HERE, table(measure()))
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from scipy.integrate import solve_ivp
 
 import cicatrix
-from cicatrix.biology.adhesion import anchored
+from cicatrix.biology.adhesion import steady_state
 from cicatrix.cli.main import main
 from cicatrix.core.errors import ConvergenceError
 from cicatrix.kinds.adhesion import run as adhesion_run
@@ -18,7 +18,6 @@ from cicatrix.kinds.adhesion.build import law_and_notes
 from cicatrix.kinds.registry import check_case, load_case
 from cicatrix.materials.neo_hookean import NeoHookean
 from cicatrix.mechanics.uniaxial import Tension
-from cicatrix.runs.progress import Progress
 
 EXAMPLES = Path(__file__).parents[2] / "examples" / "adhesion"
 COLUMNS = ["step", "time_s", "stretch", "bound_fraction", "bound_fraction_sd", "force_pN", "traction_kPa"]
@@ -54,7 +53,7 @@ def case_file(tmp_path):
 
 @pytest.fixture
 def no_pictures(monkeypatch):
-    """They take longer than the bonds."""
+    """Skip drawing figures, which takes longer than the bonds."""
     for name in ("course_figure", "stretch_figure"):
         monkeypatch.setattr(adhesion_run, name, lambda *_: Figure())
 
@@ -80,7 +79,7 @@ def test_mean_field(case_file, tmp_path):
 
 @pytest.mark.parametrize("settings", [STEPS, EXACT], ids=["steps", "exact"])
 def test_samples_are_about_their_mean(settings, case_file, no_pictures):
-    """Within 4 sigma of the fixed point, and as far apart as independent bonds are; of stored energy, too."""
+    """Check the mean to 4 sigma of the steady state and the variance of independent bonds, also with stored energy."""
     settings = [*settings, "bond.energy=stored", "method.start_bound_fraction=0.25"]
     results = cicatrix.simulate(load_case(case_file, settings))
     history, outcome = results.history, results.outcome
@@ -95,7 +94,7 @@ def test_samples_are_about_their_mean(settings, case_file, no_pictures):
 
 @pytest.mark.parametrize("settings", [pytest.param(STEPS, marks=pytest.mark.slow), EXACT], ids=["steps", "exact"])
 def test_samples_follow_a_substrate_that_yields(settings, case_file, no_pictures):
-    """The mean field's own course is that of SciPy to 1e-7 in another test."""
+    """Compare samples with the mean-field solution, which another test compares with SciPy to 1e-7."""
     sampled = cicatrix.simulate(load_case(case_file, [*settings, SOLID])).history
     mean = cicatrix.simulate(load_case(case_file, [*SAMPLED[2:], SOLID])).history
     phi = mean["bound_fraction"]
@@ -117,34 +116,6 @@ def test_mean_field_on_a_substrate_that_yields(case_file, no_pictures):
     assert float(jax.jit(law.rate)(0.3, 1.0, 50.0)) == pytest.approx(rate(50.0, 0.3), rel=1e-10)
 
 
-class Stopper(Progress):
-    """Stops the run as Ctrl-C does, after so many rows."""
-
-    def __init__(self, after):
-        super().__init__()
-        self.left = after
-
-    def update(self, fraction, words=""):
-        self.left -= 1
-        if not self.left:
-            raise KeyboardInterrupt
-
-
-MEAN = pytest.param([SOLID], marks=pytest.mark.slow)
-
-
-@pytest.mark.parametrize("settings", [STEPS, EXACT, MEAN], ids=["steps", "exact", "mean"])
-def test_stopped_and_resumed_is_uninterrupted(settings, case_file, tmp_path):
-    case = load_case(case_file, settings)
-    cicatrix.simulate(case, tmp_path / "straight")
-    with pytest.raises(KeyboardInterrupt):
-        cicatrix.simulate(case, tmp_path / "stopped", progress=Stopper(2))
-    resumed = cicatrix.simulate(case, tmp_path / "stopped", resume=True)
-    assert any("Resumed after cycle 2" in note for note in resumed.manifest["notes"])
-    for name in ("history.csv", "outcome.json", "figures/course.png"):
-        assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes()
-
-
 def test_threads_do_not_matter(case_file, monkeypatch, no_pictures):
     histories = []
     for threads in ("1", "2"):
@@ -163,7 +134,7 @@ def test_tissue_as_substrate(case_file):
     case = load_case(case_file, [NEO, "cell.force_pN=7.0"])
     law, notes = law_and_notes(case)
     assert "tabulated in uniaxial tension" in notes[0]
-    at = anchored(law, np.array([1.0, 1.3]))
+    at = steady_state(law, np.array([1.0, 1.3]))
     mu = 1e4  # pN/um^2
     np.testing.assert_allclose(at.stiffness, 0.17 * mu * np.array([3.0, 1 + 2 / 1.3**3]), rtol=1e-7)
     way = np.asarray(at.energy) / 7.0 / 0.1
@@ -172,7 +143,7 @@ def test_tissue_as_substrate(case_file):
     same = load_case(
         case_file, ["substrate={type='law', area_um2=0.017, length_um=0.1, stretch=[1.0, 1.3]}", *two(5.0)]
     )
-    np.testing.assert_allclose(anchored(law_and_notes(same)[0], np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
+    np.testing.assert_allclose(steady_state(law_and_notes(same)[0], np.array([1.0, 1.3])).energy, at.energy, rtol=1e-9)
 
 
 def two(mu):
@@ -180,7 +151,7 @@ def two(mu):
 
 
 def test_tension_of_compressible_tissue():
-    """Young's modulus 9 kappa mu / (3 kappa + mu) = 4500 / 160 at first; slopes are those of the stresses."""
+    """By hand: Young's modulus 9 kappa mu / (3 kappa + mu) = 4500 / 160 at the start; slopes are derivatives of the stresses."""
     stretch = np.linspace(0.8, 1.5, 71)
     stress, slope = Tension(NeoHookean(10.0, 50.0)).nominal(stretch)
     assert (stress[20], slope[20]) == pytest.approx((0.0, 28.125), abs=1e-9)
@@ -217,11 +188,11 @@ FAULTS = {
     ),
     "energy of a catch bond": (
         [f"bond={{k_on_per_s=1.0, energy='stored', {CATCH}}}"],
-        "bond.energy and catch exclude each other: such a bond heeds the force alone",
+        "bond.energy and catch exclude each other: the rates of a catch bond depend on the force alone",
     ),
     "heat of a catch bond": (
         [f"bond={{k_on_per_s=1.0, kT_pN_um=4e-3, {CATCH}}}"],
-        "bond.kT_pN_um and catch exclude each other: such a bond heeds the force alone",
+        "bond.kT_pN_um and catch exclude each other: the rates of a catch bond depend on the force alone",
     ),
     "energy": (["bond.energy=both"], 'bond.energy must be "work" or "stored"; got "both"'),
     "both forces": (
@@ -230,14 +201,14 @@ FAULTS = {
     ),
     "no force": (["cell={}"], "cell.force_pN or feedback or clutch must be given, one of them; got none"),
     "clutches of the mean": (["cell={clutch={}}"], 'method.type must be "monte-carlo" for cell.clutch; got "ode"'),
-    "no stretch": (["substrate.stretch=[]"], "substrate.stretch must be a list of one number at least"),
+    "no stretch": (["substrate.stretch=[]"], "substrate.stretch must be a list of at least one number"),
     "stretch 0": (["substrate.stretch=[0.0]"], "substrate.stretch[0] must be above 0; got 0.0"),
     "near key": (
         ["substrate.stiffness=1.0"],
         "substrate.stiffness is not a known key; did you mean substrate.stiffness_pN_um?",
     ),
-    "no steps": (["method.type=monte-carlo", "method.n_integrins=5"], "method.dt_s is missing, which type = "),
-    "no bonds": (["method.type=ssa"], "method.n_integrins is missing, which type = "),
+    "no steps": (["method.type=monte-carlo", "method.n_integrins=5"], "method.dt_s is missing; type = "),
+    "no bonds": (["method.type=ssa"], "method.n_integrins is missing; type = "),
     "steps of the mean": (["method.dt_s=1.0"], 'method.dt_s must be left out for type = "ode"'),
     "long step": (
         ["method.type=monte-carlo", "method.n_integrins=5", "method.dt_s=1e3"],
@@ -284,7 +255,7 @@ FIBRE = "substrate={type='exponential-fibre', k1_MPa=0.07, k2=20.8, area_um2=0.0
 UNSOUND = {
     "feedback": (
         [FEEDBACK],
-        "feedback does not hold: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got -0.5 at",
+        "feedback is not valid: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got -0.5 at",
     ),
     "slack": ([FIBRE], "substrate.stretch 0.7: the tangent stiffness there must be positive; got -"),
     "overflow": (
@@ -305,7 +276,7 @@ UNSOUND = {
     ),
     "too many events of the still": (
         [*EXACT, "bond.k_on_per_s=1e6", "bond.k_off_per_s=1e6"],
-        "beyond 1e+07 and 1e+10; give less duration_s or force",
+        "more than 1e+07 and 1e+10; reduce duration_s or force",
     ),
 }
 
@@ -334,7 +305,7 @@ def test_long_steps_are_noted(dt, chance, case_file):
     """By hand: 1 - exp(-10 * 0.012 exp(49 / 2e4 / kT)) = 0.19."""
     _, notes = law_and_notes(load_case(case_file, [*STEPS, f"method.dt_s={dt}"]))
     words = (
-        f"A bond switches with a chance of {chance} in one step of {dt[:-2]} s: a shorter method.dt_s is more exact."
+        f"A bond switches with probability {chance} in one step of {dt[:-2]} s: a shorter method.dt_s is more exact."
     )
     assert notes == ([words] if chance else [])
 
@@ -353,7 +324,7 @@ def test_clutches_on_ground_that_yields(ground, case_file, no_pictures):
 
 
 def test_motors_and_clutches(case_file, tmp_path, no_pictures):
-    """Bonds that never open stall 50 motors of 2 pN: 100 pN on 40 clutches is 2.5 pN each and 1 kPa at 400 per um^2."""
+    """By hand: motors stall if bonds never open; 50 motors of 2 pN on 40 clutches give 2.5 pN each, and 1 kPa at 400 per um^2."""
     settings = ["cell={clutch={}}", "bond.k_off_per_s=1e-12", "method.start_bound_fraction=1.0", *STEPS[2:]]
     settings += ["cell.clutch.bond_force_pN=1e3", "method.n_integrins=40", "method.n_cells=2"]
     case = load_case(case_file, settings)
@@ -364,14 +335,10 @@ def test_motors_and_clutches(case_file, tmp_path, no_pictures):
     assert straight.history["cell_force_pN"][-1] == pytest.approx(100.0, rel=1e-6)
     assert straight.history["force_pN"][-1] == pytest.approx(2.5, rel=1e-6)
     assert straight.history["traction_kPa"][-1] == pytest.approx(1.0, rel=1e-6)
-    with pytest.raises(KeyboardInterrupt):
-        cicatrix.simulate(case, tmp_path / "stopped", progress=Stopper(2))
-    cicatrix.simulate(case, tmp_path / "stopped", resume=True)
-    assert (tmp_path / "stopped" / "history.csv").read_bytes() == (tmp_path / "straight" / "history.csv").read_bytes()
 
 
 def test_cluster_of_a_case(case_file, no_pictures):
-    """Two bonds that share 14 pN on springs of their own, by hand: 1/r_2 + (1 + g_1 / r_2) / r_1."""
+    """By hand, for two bonds that share 14 pN, each on its own spring: 1/r_2 + (1 + g_1 / r_2) / r_1."""
     results = cicatrix.simulate(load_case(case_file, ["cluster={bonds=2}"]))
     r2, r1 = 2 * 0.012 * np.exp(49 / 2e4 / KT), 0.012 * np.exp(14**2 / 2e4 / KT)
     by_hand = 1 / r2 + (1 + 0.01 / r2) / r1

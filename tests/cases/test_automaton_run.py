@@ -12,10 +12,11 @@ from cicatrix.core import native
 from cicatrix.core.errors import InputError
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import NativeCore
-from cicatrix.healing.twin import TwinCore
+from cicatrix.healing.reference import ReferenceCore
+from cicatrix.kinds.automaton import run as automaton_run
 from cicatrix.kinds.automaton.build import automaton_of, inradius_um
 from cicatrix.kinds.registry import check_case, load_case
-from cicatrix.runs.progress import Progress
+from cicatrix.runs import driver
 
 DISC = """
 kind = "automaton"
@@ -60,7 +61,7 @@ def test_a_wound_closes_and_every_step_is_told(text, case_file, tmp_path):
 
 
 def test_the_hash_is_that_of_the_bits_in_c_order(case_file):
-    """Stopped half-way; the occupancy is found again by the API."""
+    """Interrupt half-way, resume, and compute the same occupancy with the Python API."""
     case = load_case(case_file(DISC), ["run.max_steps=25"])
     automaton = automaton_of(case)
     state = automaton.advance(automaton.initial_state(), n_steps=25)
@@ -71,47 +72,30 @@ def test_the_hash_is_that_of_the_bits_in_c_order(case_file):
     assert "still open after 25 steps" in results.status[1]
 
 
-class Stopper(Progress):
-    """Stops the run as Ctrl-C does, when a step is reached."""
-
-    def __init__(self, at):
-        super().__init__()
-        self.at = at
-
-    def update(self, fraction, words=""):
-        if words == f"step {self.at}":
-            raise KeyboardInterrupt
-
-
-def test_stopped_and_resumed_is_uninterrupted(case_file, tmp_path, monkeypatch):
-    case = load_case(case_file(DISC), ["rules.p_layer=0.004"])
-    straight = cicatrix.simulate(case, tmp_path / "straight")
-    assert straight.history["step"][-1] > 120
-    with pytest.raises(KeyboardInterrupt):
-        cicatrix.simulate(case, tmp_path / "stopped", progress=Stopper(120))
-    monkeypatch.setattr(native, "threads", lambda: 2)
-    resumed = cicatrix.simulate(case, tmp_path / "stopped", resume=True)
-    assert any("Resumed after cycle 120" in note for note in resumed.manifest["notes"])
-    for name in ("history.csv", "figures/closure.png"):
-        assert (tmp_path / "stopped" / name).read_bytes() == (tmp_path / "straight" / name).read_bytes()
-    same = "steps_to_closure", "occupancy_sha256"
-    assert all(resumed.outcome[name] == straight.outcome[name] for name in same)
-
-
-def test_an_interruption_between_a_step_and_its_row_loses_nothing(case_file, tmp_path, monkeypatch):
-    """A signal comes when the compiled step returns: the row is written from what the core remembers."""
+@pytest.mark.parametrize("where", ["in the step", "in its state", "before the driver has it"])
+def test_an_interruption_between_a_step_and_its_row_loses_nothing(where, case_file, tmp_path, monkeypatch):
+    """A signal may arrive at any place between a step and its row; the resumed run is the uninterrupted one."""
     case = load_case(case_file(DISC), ["run.max_steps=40"])
     straight = cicatrix.simulate(case, tmp_path / "straight")
-    advance = NativeCore.advance if native.is_native else TwinCore.advance
+    core = NativeCore if native.is_native else ReferenceCore
+    holder, name = {
+        "in the step": (core, "advance"),
+        "in its state": (automaton_run.AutomatonRun, "_after"),
+        "before the driver has it": (driver._Writer, "take"),
+    }[where]
+    original, calls = getattr(holder, name), []
 
-    def interrupted(self, *arguments):
-        rows = advance(self, *arguments)
-        if self.step == 25:
+    def interrupted(*arguments):
+        calls.append(1)
+        if len(calls) == 25 and where != "in the step":
             raise KeyboardInterrupt
-        return rows
+        result = original(*arguments)
+        if len(calls) == 25:
+            raise KeyboardInterrupt
+        return result
 
     with monkeypatch.context() as patch:
-        patch.setattr(NativeCore if native.is_native else TwinCore, "advance", interrupted)
+        patch.setattr(holder, name, interrupted)
         with pytest.raises(KeyboardInterrupt):
             cicatrix.simulate(case, tmp_path / "stopped")
     resumed = cicatrix.simulate(case, tmp_path / "stopped", resume=True)
@@ -188,7 +172,7 @@ def test_faults_of_arrays_are_told(case_file, tmp_path):
     masked = DISC.replace('shape = "disc"\nradius_um = 300.0', 'mask = "MASK.npy"')
     for name, sentence in (
         ("open", "leaves no cell"),
-        ("closed", "holds no site"),
+        ("closed", "has no site"),
         ("wrong_shape", "must be a mask"),
         ("text", "not a NumPy file"),
     ):

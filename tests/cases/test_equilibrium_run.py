@@ -1,4 +1,4 @@
-"""Cases of kind "equilibrium": a user's own mesh to its loaded and its unloaded shape, and what is refused."""
+"""Cases of kind "equilibrium": loaded and unloaded shapes of a user's mesh, and what is refused."""
 
 import meshio
 import numpy as np
@@ -26,7 +26,7 @@ def cube(n=2, side=20.0):
 
 
 def write(folder, points, tetrahedra, *, without=(), name="body.vtu", **changed):
-    """A soft cube held at z = 0; ``changed`` replaces data."""
+    """Write a soft cube fixed at z = 0; ``changed`` replaces data."""
     n = len(tetrahedra)
     point_data = {"fixed": changed.pop("fixed", (points[:, 2] < 1e-9).astype(float))}
     cell_data = {
@@ -53,9 +53,9 @@ def displacement(folder):
 
 
 def test_down_and_back_up_again(tmp_path):
-    """Loaded, written, and read again as the shape to unload: the cube it began with, on the user's own nodes."""
+    """Load a cube, write it, read it as the loaded shape and unload it: the result is the initial cube, on the user's nodes."""
     points, tetrahedra = cube()
-    points, tetrahedra = points[::-1].copy(), len(points) - 1 - tetrahedra  # an order of the user's
+    points, tetrahedra = points[::-1].copy(), len(points) - 1 - tetrahedra  # numbered in another order
     case = load_case(write(tmp_path, points, tetrahedra))
     down = cicatrix.simulate(case, tmp_path / "down")
     mesh = displacement(tmp_path / "down")
@@ -82,7 +82,7 @@ def test_down_and_back_up_again(tmp_path):
 
 
 def test_units_of_the_mesh(tmp_path):
-    """The same body in metres; a body that is told in the wrong unit is doubted."""
+    """The same body in metres gives the same result; a body in an unlikely unit gives a warning."""
     points, tetrahedra = cube()
     in_mm = cicatrix.simulate(load_case(write(tmp_path, points, tetrahedra)))
     in_m = cicatrix.simulate(load_case(write(tmp_path, 1e-3 * points, tetrahedra), ["body.mesh_unit=m"]))
@@ -93,7 +93,7 @@ def test_units_of_the_mesh(tmp_path):
 
 
 def damaged(fault):
-    """(points, tetrahedra, data) with one fault."""
+    """Return (points, tetrahedra, data) with one fault."""
     points, tetrahedra = cube()
     n = len(tetrahedra)
     if fault == "inverted":
@@ -139,17 +139,17 @@ def damaged(fault):
             "inverted",
             r"1 tetrahedra are inverted or flat, the first is number 5 at \(.*\) mm: all must have positive volume",
         ),
-        ("twice", "1 tetrahedra are there more than once, the first is number 7"),
+        ("twice", "1 tetrahedra occur more than once, the first is number 7"),
         ("unused", "1 nodes belong to no tetrahedron, the first is node 27"),
         ("nan", "node 3 has a coordinate that is not a number"),
         ("pieces", "the body falls into 2 pieces"),
         ("pinched", "the body falls into 2 pieces"),
         (
             "swapped",
-            "1 tetrahedra have a middle node that lies nearer to the middle of another edge, the first is number 5",
+            "1 tetrahedra have a midside node that lies nearer to the midpoint of another edge, the first is number 5",
         ),
-        ("folded", r"\d+ tetrahedra (are folded by|have) .*middle node"),
-        ("two fixed", "the supports let the body slide away or turn: mark three"),
+        ("folded", r"\d+ tetrahedra (are folded by|have) .*(middle|midside) node"),
+        ("two fixed", "the supports let the body translate or rotate: mark three"),
         ("edge", "the surface meets itself along an edge"),
         ("not fixed", "no node is fixed"),
         ("half fixed", "`fixed` must be 0 or 1"),
@@ -194,7 +194,7 @@ def test_a_mesh_in_an_unlikely_unit_is_told_before_it_is_solved(tmp_path, capsys
 
 
 def test_a_body_that_fails_in_the_wrong_unit_is_doubted(tmp_path):
-    """A cube of 20 m: it cannot bear its weight, and the sentence says what it was taken for."""
+    """A cube of 20 m collapses under its weight, and the error says which unit was assumed."""
     points, tetrahedra = cube()
     case = load_case(write(tmp_path, points, tetrahedra), ["body.mesh_unit=m"])
     with pytest.raises(
@@ -217,7 +217,7 @@ def test_a_body_too_soft_for_its_weight_fails_with_its_history(tmp_path):
 
 
 def write_supported(folder, case="", **point_data):
-    """The cube without weight, with these point data."""
+    """Write the cube without weight, with the given point data."""
     points, tetrahedra = cube()
     n = len(tetrahedra)
     data = {"fixed": np.zeros(len(points))} | {name: np.asarray(values, float) for name, values in point_data.items()}
@@ -238,7 +238,7 @@ def base_and_top(points):
 
 
 def test_a_pulled_and_sheared_cube(tmp_path):
-    """All of the surface moved by one affine map: the only inner node goes with it (patch test); gravity is 1e-6 of stiffness."""
+    """Patch test: the surface has an affine displacement, and the only inner node follows; gravity is 1e-6 of the stiffness."""
     points, _ = cube()
     outer = (np.abs(points - 10.0) > 10.0 - 1e-9).any(axis=1)
     shift = points @ np.array([[0.1, 0.0, 0.0], [0.2, -0.05, 0.0], [0.1, 0.3, 0.4]])
@@ -250,7 +250,7 @@ def test_a_pulled_and_sheared_cube(tmp_path):
 
 
 def test_a_cube_in_a_corner_is_pressed(tmp_path):
-    """Three walls without friction, pressure on the top: uniaxial compression; Cauchy stress -p along, 0 across, by hand."""
+    """Uniaxial compression between three frictionless walls with pressure on top; Cauchy stress -p along, 0 across, by hand."""
     points, _ = cube()
     walls = (np.abs(points) < 1e-9).any(axis=1)
     _, top = base_and_top(points)
@@ -289,7 +289,7 @@ def test_a_cube_in_a_corner_is_pressed(tmp_path):
         ({"pressurised": np.full(27, np.nan)}, [], "`pressurised` must be 0 or 1"),
         ({"pressurised": np.arange(27) == 13}, [], "`pressurised` mark 1 nodes that are on no boundary face"),
         ({}, ["loads.pressure_kPa=1.0"], "loads.pressure_kPa = 1 acts on no face"),
-        ({"fixed": np.zeros(27), "sliding": "base"}, [], "sliding nodes alone let the body slide away or turn"),
+        ({"fixed": np.zeros(27), "sliding": "base"}, [], "sliding nodes alone let the body translate or rotate"),
         ({"prescribed_displacement": "base"}, ["solver.inverse=true"], "must be 0 where solver.inverse = true"),
     ],
 )

@@ -1,4 +1,4 @@
-"""The examples on real images run to closure (slow; skipped where the image data is not)."""
+"""Run the examples on real images to closure (slow; skipped if the image data is missing)."""
 
 import zipfile
 from pathlib import Path
@@ -31,7 +31,7 @@ def test_the_wound_closes_on_a_real_image(path, data, tmp_path):
     case = cicatrix.load_case(path, overrides)
     results = cicatrix.simulate(case, out=tmp_path / "run")
     assert results.history["closed_fraction"][-1] == 1.0
-    latest = 150 if case.healing.deposition == "loaded" else 100  # new tissue at rest gives no feedback
+    latest = 150 if case.healing.deposition == "loaded" else 100  # stress-free new tissue gives no feedback
     assert 40 < results.outcome["time_to_closure_days"].value < latest
     most = 20 if path.stem.endswith("-3d") else 10
     assert (results.history["newton_iterations"][1:] < most).all()

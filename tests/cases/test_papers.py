@@ -1,4 +1,4 @@
-"""The papers' scripts: coarse, with two seeds, in every run; as they are in the slow ones."""
+"""Run the papers' scripts on coarse meshes with two seeds; the slow tests run them unchanged."""
 
 import csv
 import importlib.util
@@ -37,7 +37,7 @@ def test_claims_come_out_on_a_coarse_mesh_too(name):
 
 
 def test_viscous_fibres_come_out_with_fewer_of_them_too():
-    """Growth, Fig. 3, takes longer to compile than that: with the slow ones."""
+    """The script of Fig. 3 (growth) takes longer to compile and is among the slow tests."""
     paper = script("guo-2022-fig2")
     rows = paper.table(paper.measure([*FEWER, "solver.relative_tolerance=5e-3"]))
     assert all(holds for _, _, holds in rows), rows
@@ -70,7 +70,7 @@ def test_the_published_compression_carries_forces_of_rounding():
 
 @pytest.mark.slow
 def test_the_published_compression_is_found_again_with_the_same_rounding():
-    """Five minutes of one core."""
+    """This takes five minutes on one core."""
     paper = script("awwad-2025-compression")
     try:
         reference = paper.Reference.read()
@@ -83,6 +83,6 @@ def test_the_published_compression_is_found_again_with_the_same_rounding():
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [*FIGURES, *POINTS, *WOUNDS, "clinic-closure", "level-set-teleports"])
 def test_the_whole_table_is_as_expected(name, tmp_path):
-    """Each script says itself, by its exit code, whether its table is that of expected.csv."""
+    """The exit code of each script says whether its table agrees with expected.csv."""
     done = subprocess.run([sys.executable, PAPERS / name / "run.py"], capture_output=True, text=True)
     assert done.returncode == 0, done.stdout + done.stderr

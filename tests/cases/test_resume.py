@@ -1,4 +1,4 @@
-"""A run that is killed and resumed gives the same bytes as one that was never stopped."""
+"""Check that a run that is killed and resumed gives the same bytes as an uninterrupted one."""
 
 import os
 import signal
@@ -21,7 +21,7 @@ pitch_um = 150.0
 edge_mm = 6.0
 cavity_edge_mm = 2.0
 [outcome]
-positions = ["upright"]
+positions = ["upright", "supine"]
 visits_weeks = [2, 6]
 [coupling]
 days_per_cycle = 10.0

@@ -1,4 +1,4 @@
-"""The whole road on a coarse case: from a label map, as a person may have corrected it, to a healed shape."""
+"""A complete lumpectomy run on a coarse case: from a label map, such as one corrected by hand, to the healed shape."""
 
 import json
 

@@ -11,7 +11,6 @@ import cicatrix
 from cicatrix.cli.main import main
 from cicatrix.files.history import read_history
 from cicatrix.kinds.registry import check_case, load_case
-from cicatrix.runs.progress import Progress
 
 pytestmark = pytest.mark.xdist_group("signalling networks")
 ROOT = Path(__file__).parents[2]
@@ -47,7 +46,7 @@ def case_file(tmp_path):
 
 
 def input_alone(t):
-    """A by hand: it follows 0.25, from 1 h on 0.8, from 2.3 h on 0.4, within 0.5 h."""
+    """Return species A by hand: its input is 0.25, from 1 h on 0.8, from 2.3 h on 0.4, and its time constant 0.5 h."""
 
     def follow(y, goal, spent):
         return goal + (y - goal) * np.exp(-spent / 0.5)
@@ -68,7 +67,7 @@ def test_a_run_and_its_folder(case_file, tmp_path):
     assert outcome["end"].value["A"] == history["A"][-1]
     assert (outcome["n_stable_states"].value, outcome["is_bistable"].value) == (1, "no")
     (state,) = outcome["steady_states"].value
-    assert (state["is_stable"], state["n_starts"]) == (True, 7)  # own start, low, high, end of the course, and 3 drawn
+    assert (state["is_stable"], state["n_starts"]) == (True, 7)  # own start, low, high, end of the run, 3 random
     assert state["values"]["A"] == pytest.approx(0.4)
     assert state["growth_per_h"] < 0.0
     for name in ("courses", "steady_states", "sensitivities"):
@@ -82,41 +81,9 @@ def test_a_run_and_its_folder(case_file, tmp_path):
     assert float(rows["B", "tau_h", "C"]["derivative"]) == pytest.approx(0.0, abs=1e-12)
 
 
-class Stopper(Progress):
-    """Stops the run as Ctrl-C does, after so many chunks of time."""
-
-    def __init__(self, after):
-        super().__init__()
-        self.left = after
-
-    def update(self, fraction, words=""):
-        self.left -= 1
-        if not self.left:
-            raise KeyboardInterrupt
-
-
-def test_stopped_and_resumed_is_uninterrupted(case_file, tmp_path):
-    case = load_case(case_file())
-    cicatrix.simulate(case, tmp_path / "straight")
-    for after in (1, 2):
-        folder = tmp_path / f"stopped-{after}"
-        with pytest.raises(KeyboardInterrupt):
-            cicatrix.simulate(case, folder, progress=Stopper(after))
-        cicatrix.simulate(case, folder, resume=True)
-        names = (
-            "history.csv",
-            "outcome.json",
-            "tables/steady_states.csv",
-            "tables/sensitivities.csv",
-            "figures/courses.png",
-        )
-        for name in names:
-            assert (folder / name).read_bytes() == (tmp_path / "straight" / name).read_bytes()
-
-
 @pytest.mark.slow
 def test_the_example_remembers(tmp_path):
-    """The same stiffness before and after a day on a stiff matrix: two states, and the network is in the other one."""
+    """Hysteresis: before and after a day on a stiff matrix, the network is in different states at the same stiffness."""
     results = cicatrix.simulate(load_case(ROOT / "examples" / "signalling.toml"), tmp_path / "run")
     outcome, history = results.outcome, results.history
     assert outcome["is_bistable"].value == "yes"
@@ -140,9 +107,12 @@ def test_every_link_of_the_example_has_a_source():
 FAULTS = {
     "no network": (
         ["network={}"],
-        "network.species is missing: species and reactions name CSV files, or sbml one of SBML",
+        "network.species is missing: name CSV files by species and reactions, or an SBML file by sbml",
     ),
-    "one file": (["network={species='species.csv'}"], "network.reactions is missing, which belongs to species"),
+    "one file": (
+        ["network={species='species.csv'}"],
+        "network.reactions is missing: a network in CSV files needs both species and reactions",
+    ),
     "both": (
         ["network.sbml=species.csv"],
         "network.sbml must be given without species and reactions, or those two without it",
@@ -151,13 +121,13 @@ FAULTS = {
     "short": (["set.A={time_h=[0, 1], value=[1]}"], "set.A.value must have as many values as time_h (2); got 1"),
     "stands": (
         ["set.A={time_h=[1, 1], value=[1, 0]}"],
-        "set.A.time_h must be one time at least, and ascend; got [1, 1]",
+        "set.A.time_h must be at least one time, ascending; got [1, 1]",
     ),
     "near key": (["time.duration=3"], "time.duration is not a known key; did you mean time.duration_h?"),
     "too many rows": (["time.step_h=1e-9"], "time.step_h must be at least duration_h / 1e+06; got 1e-09"),
     "no values": (
         ["steady.over=A"],
-        "steady.values and over belong together: an input, and the values that it is given",
+        "steady.values and over belong together: over names an input, values are what it is set to",
     ),
     "method": (["solver.method=magic"], 'solver.method must be "implicit" or "explicit"; got "magic"'),
 }
@@ -194,9 +164,9 @@ REFUSED = {
     "ragged": (
         {"species": SPECIES.replace("B,1,1,1", "B,1,1")},
         [],
-        "row 3 must have 4 columns as the first one has; got 3",
+        "row 3 must have 4 columns, like the first row; got 3",
     ),
-    "twice": ({"species": SPECIES + "A,0,1,1\n"}, [], 'species "A" stands twice'),
+    "twice": ({"species": SPECIES + "A,0,1,1\n"}, [], 'species "A" is listed twice'),
     "column of the history": ({"species": SPECIES + "step,0,1,1\n"}, [], 'species "step" must have another name'),
     "empty": ({"species": "\n"}, [], "is empty: it must start with a row of column names, id, y_init, y_max, tau_h"),
     "no rows": ({"species": "id,y_init,y_max,tau_h\n"}, [], "species.csv has no rows below its column names"),
@@ -263,7 +233,7 @@ def test_a_stiff_blow_up_is_told(case_file, tmp_path, capsys):
 
 
 def test_sbml_rests_where_its_own_start_leads(case_file, tmp_path):
-    """What is conserved makes a continuum of steady states: told, and no derivatives are claimed."""
+    """A conserved sum gives a continuum of steady states: the run says so and gives no sensitivities."""
     pytest.importorskip("libsbml", reason="needs python-libsbml")
     model = (ROOT / "tests" / "io" / "sbml" / "reversible.xml").read_text()
     clock = model[model.index("<rateRule") : model.index("</rateRule>") + len("</rateRule>")]

@@ -1,6 +1,7 @@
-"""The whole road in three dimensions on a half ball of fat, coarse: to closure, and again from the middle.
+"""A complete lumpectomy run in 3-D on a coarse half ball of fat: to closure, and resumed half-way.
 
-She heals as she lay in the image here, so that nothing but the unloading goes far; the slow test lets her stand and lie.
+The healing position is that of the image, so that only the unloading has large displacements; the slow test also uses
+standing and lying positions.
 """
 
 import json
@@ -15,11 +16,11 @@ from cicatrix.core.errors import InputError
 from cicatrix.files.images import write_volume
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.volume import Volume
-from cicatrix.kinds.lumpectomy import body as plans
+from cicatrix.kinds.lumpectomy import body
 from cicatrix.kinds.lumpectomy.anatomy import anatomy_of
-from cicatrix.kinds.lumpectomy.build import plan
+from cicatrix.kinds.lumpectomy.build import breast_model
 from cicatrix.runs.progress import Progress
-from cicatrix.runs.results import read_results
+from cicatrix.runs.results import open_run
 
 pytestmark = pytest.mark.xdist_group("solid road")  # healed once
 
@@ -49,7 +50,7 @@ RADIUS, VOXEL = 30.0, 2.0  # mm
 
 
 def half_ball(tumour=True, apart=False):
-    """A breast of fat in front of the image's last plane, with a tumour of 4 mm."""
+    """Return a breast of fat in front of the last plane of the image, with a tumour of 4 mm."""
     n = int(np.ceil((RADIUS + 6) / VOXEL))
     across, depth = VOXEL * (np.arange(2 * n + 1) - n), VOXEL * (np.arange(n) - n + 0.5)
     z, y, x = np.meshgrid(across, depth, across, indexing="ij")
@@ -68,7 +69,7 @@ def case_in(folder, labels, *overrides):
 
 
 class Snapshot(Progress):
-    """Copies the run's folder when the wound is half closed."""
+    """Progress that copies the run's folder when the wound is half closed."""
 
     def __init__(self, folder, copy):
         super().__init__()
@@ -81,7 +82,7 @@ class Snapshot(Progress):
 
 @pytest.fixture(scope="module")
 def folders(tmp_path_factory):
-    """A run, and what was there of it half way."""
+    """Return the folder of a run and its copy from half-way."""
     folder = tmp_path_factory.mktemp("solid")
     case = case_in(folder, half_ball())
     cicatrix.simulate(case, folder / "run", progress=Snapshot(folder / "run", folder / "half"))
@@ -90,7 +91,7 @@ def folders(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def results(folders):
-    return read_results(folders[1])
+    return open_run(folders[1])
 
 
 def products(out):
@@ -111,7 +112,7 @@ def test_the_wound_closes(results):
 
 
 def test_the_healed_body_weighs_what_it_weighed(results):
-    """Tissue and sites together are the body's volume, 2/3 pi 30^3 by hand, to what its voxels make of it."""
+    """Tissue and open sites together have the volume of the body, 2/3 pi 30^3 by hand, to the resolution of the voxels."""
     assert results.history["tissue_volume_mm3"][-1] == pytest.approx(2 / 3 * np.pi * RADIUS**3, rel=0.015)
 
 
@@ -123,7 +124,7 @@ def test_resumed_is_uninterrupted(folders):
 
 
 def test_surfaces_open_elsewhere(folders):
-    """STL and VTU of the skin: the same shape, closed, its normals outward."""
+    """STL and VTU of the skin have the same closed shape with outward normals."""
     _, run, _ = folders
     flat, curved = (meshio.read(run / "surfaces" / f"prone-healed.{kind}") for kind in ("stl", "vtu"))
     corners = flat.points[flat.cells_dict["triangle"]]
@@ -152,21 +153,21 @@ def test_fields_and_pictures_are_there(folders):
     ids=["off the skin", "beside the foremost point"],
 )
 def test_a_nipple_can_be_given(tmp_path, at, words, monkeypatch):
-    """The skin's nearest node; off the skin it is refused before anything is solved."""
-    monkeypatch.setattr(plans, "FARTHEST_NIPPLE_MM", 5.0)
+    """The nearest node of the skin is used; a point off the skin is refused before anything is solved."""
+    monkeypatch.setattr(body, "MAX_NIPPLE_DISTANCE_MM", 5.0)
     case = case_in(tmp_path, half_ball(), f"outcome.nipple_mm={list(at)}")
     anatomy, _ = anatomy_of(case)
     if words:
         with pytest.raises(InputError, match=words):
-            plan(case, anatomy)
+            breast_model(case, anatomy)
     else:
-        planned = plan(case, anatomy)
-        np.testing.assert_allclose(planned.x_imaged[planned.nipple], (21.2, -21.2, 0), atol=4)
+        model = breast_model(case, anatomy)
+        np.testing.assert_allclose(model.x_imaged[model.nipple], (21.2, -21.2, 0), atol=4)
 
 
 @pytest.mark.slow
 def test_standing_and_lying_down(tmp_path):
-    """Two positions and a visit: the breast hangs down and sinks back, the wound opens a little more or less, and closes."""
+    """With two positions and a visit, the breast hangs down and sinks back, and the wound closes."""
     overrides = [
         'coupling.healing_position="upright"',
         'outcome.positions=["upright", "supine"]',
@@ -178,14 +179,14 @@ def test_standing_and_lying_down(tmp_path):
     surfaces = {p: meshio.read(tmp_path / "run" / "surfaces" / f"{p}-before.vtu").points for p in ("upright", "supine")}
     assert (surfaces["upright"] - surfaces["supine"])[:, 2].mean() < -0.2  # down
     foremost = {position: points[:, 1].min() for position, points in surfaces.items()}
-    assert foremost["upright"] < foremost["supine"] - 0.2  # and to the front, where the sides do not make up for it
+    assert foremost["upright"] < foremost["supine"] - 0.2  # and anterior
     assert abs(results.outcome["upright.week_5.volume_change_percent"].value) < 1
     for position in ("upright", "supine"):
         assert 0 <= results.outcome[f"{position}.healed.surface_retraction_max_mm"].value < 1
 
 
 FAULTS = {
-    "nothing holds it": (half_ball(apart=True), ["mesh.edge_mm=6.0"], "nothing holds it"),
+    "nothing supports it": (half_ball(apart=True), ["mesh.edge_mm=6.0"], "nothing supports it"),
     "no tumour": (half_ball(tumour=False), [], "resection.centre_mm is missing"),
     "outside": (
         half_ball(),

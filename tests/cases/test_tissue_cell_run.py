@@ -1,4 +1,4 @@
-"""Cases of kind "tissue-cell": against SciPy with the adhesion written out anew, stopped and resumed, and what is refused."""
+"""Cases of kind "tissue-cell": compared with SciPy and an independent adhesion model, resumed, and what is refused."""
 
 from pathlib import Path
 
@@ -11,7 +11,6 @@ import cicatrix
 from cicatrix.cli.main import main
 from cicatrix.core.errors import ConvergenceError, InputError
 from cicatrix.kinds.registry import check_case, load_case
-from cicatrix.kinds.tissue_cell import run as tissue_cell_run
 from cicatrix.kinds.tissue_cell.build import model_of
 from cicatrix.kinds.tissue_cell.run import network_of
 
@@ -30,7 +29,7 @@ def whole(tmp_path_factory):
 
 
 def pulled(stretch):
-    """Force of a bond [pN], and its rate of opening [1/s], at a stretch: Eqs (22), (25), and the root by bisection."""
+    """Return the force of a bond [pN] and its rate of opening [1/s] at a stretch: Eqs (22), (25), with the root by bisection."""
     stress = lambda x: K1 * x * np.expm1(K2 * (x**2 - 1.0))  # noqa: E731
     e = np.exp(K2 * (stretch**2 - 1.0))
     k = AREA * K1 * (e - 1.0 + 2.0 * K2 * stretch**2 * e) / LENGTH
@@ -40,7 +39,7 @@ def pulled(stretch):
 
 
 def rate(t, y):
-    """Eqs (24), (27)-(30) as printed, per hour, with the numbers of the example."""
+    """Return the rates of Eqs (24), (27)-(30) as printed, per hour, with the parameters of the example."""
     g, rho, c, m, phi = y
     f, k_off = pulled(np.interp(t, [0.0, 24.0, 200.0], [1.0, 1.1, 1.1]) / g)
     beyond = max(f * phi * 400.0 * 1e-3 - 3.02, 0.0)
@@ -62,32 +61,17 @@ def test_it_holds_what_it_must(whole):
     history = whole.history
     assert list(history) == COLUMNS.split()
     np.testing.assert_allclose(history["lambda_s"] * history["lambda_g"], history["lambda"], rtol=1e-13)
-    np.testing.assert_allclose(history["lambda_g"], history["m_f"], rtol=1e-7)  # from 1 alike, varrho_f = 1
+    np.testing.assert_allclose(history["lambda_g"], history["m_f"], rtol=1e-7)  # both start at 1, and varrho_f = 1
     np.testing.assert_allclose(
         history["sigma_passive_kPa"], 10.0 * (history["lambda_s"] ** 2 - history["lambda_s"] ** -4)
     )
     active = history["rho_per_mm3"] / 1e4 * history["traction_kPa"]
     np.testing.assert_allclose(history["sigma_kPa"], history["sigma_passive_kPa"] + active)
     _, k_off = pulled(history["lambda_s"][-1])
-    assert history["bound_fraction"][-1] == pytest.approx(0.01 / (0.01 + k_off), rel=1e-4)  # bonds are soon at rest
+    assert history["bound_fraction"][-1] == pytest.approx(
+        0.01 / (0.01 + k_off), rel=1e-4
+    )  # bonds are soon in the steady state
     assert (np.diff(history["lambda_s"][5:]) < 0).all()
-
-
-def test_stopped_it_goes_on_to_the_same_bytes(whole, tmp_path):
-    with pytest.MonkeyPatch.context() as patch:
-        passed = tissue_cell_run.TissueCellRun._pass
-
-        def once(run, row, y):
-            if row:
-                raise KeyboardInterrupt
-            return passed(run, row, y)
-
-        patch.setattr(tissue_cell_run.TissueCellRun, "_pass", once)
-        with pytest.raises(KeyboardInterrupt):
-            cicatrix.simulate(load_case(EXAMPLE, SHORT), tmp_path / "run")
-    cicatrix.simulate(load_case(EXAMPLE, SHORT), tmp_path / "run", resume=True)
-    for name in ("history.csv", "outcome.json", "figures/chain.png"):
-        assert (tmp_path / "run" / name).read_bytes() == (whole.folder / name).read_bytes()
 
 
 def test_tissue_that_is_not_stretched_stays_as_it_is():
@@ -117,7 +101,7 @@ def test_the_example_and_other_signals():
 def test_cells_that_feel_tissue_at_rest_are_noted(threshold, n):
     notes = model_of(load_case(EXAMPLE, [f"signal.threshold_kPa={threshold}"]), None).notes
     assert len(notes) == n
-    assert all(note.startswith("Cells feel tissue that is not stretched: it grows until") for note in notes)
+    assert all(note.startswith("Cells sense tissue that is not stretched: it grows until") for note in notes)
 
 
 FILES = 'species = "signalling/species.csv", reactions = "signalling/reactions.csv"'
@@ -151,7 +135,7 @@ def test_what_is_refused(settings, sentence, capsys):
 @pytest.mark.parametrize(
     ("settings", "sentence"),
     [
-        (["cell.feedback.beta=8.0"], "feedback does not hold"),
+        (["cell.feedback.beta=8.0"], "feedback is not valid"),
         (
             ["loading.stretch=[1.0, 0.7, 0.7]"],
             "loading.stretch 0.7: the tangent stiffness there must be positive; got -",
@@ -174,7 +158,7 @@ RELEASED = ["loading.time_h=[0.0, 24.0, 3000.0, 3024.0]", "loading.stretch=[1.0,
     ("settings", "words"),
     [
         ([*SHORT, "solver.max_steps=10"], "solver.max_steps = 10 were taken; raise it."),
-        (RELEASED, "cells pull more than the substrate bears there."),
+        (RELEASED, "the cells' pull exceeds the load that the substrate can carry there."),
     ],
 )
 def test_why_it_could_not_be_followed(settings, words):

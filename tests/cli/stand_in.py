@@ -1,4 +1,4 @@
-"""The command line with a stand-in for the computation: three cycles of nothing, and every way to end badly."""
+"""The command line with the computation replaced by three cycles that do nothing and can end with any error."""
 
 import os
 import signal
@@ -8,10 +8,10 @@ import time
 import numpy as np
 
 import cicatrix
+from cicatrix.cases.reading import case_table, input_files
 from cicatrix.cli import main
 from cicatrix.core.errors import ConvergenceError, InputError
-from cicatrix.cases.reading import case_table, input_files
-from cicatrix.runs.results import Quantity, RunFolder, read_results
+from cicatrix.runs.results import Quantity, RunFolder, open_run
 
 ENDS = {
     "input": InputError("the image holds\nno breast"),
@@ -43,7 +43,7 @@ def simulate(case, out=None, resume=False, progress=None):
                 {"time_to_closure_days": Quantity(14.0, "days"), "by_visit": Quantity({"week 2": 1.0}, "mm")}
             )
             folder.finish("The cavity closed on day 14.")
-    return read_results(out)
+    return open_run(out)
 
 
 cicatrix.simulate = simulate

@@ -1,4 +1,4 @@
-"""What a person types and what comes back: exit codes, one sentence, never a traceback."""
+"""The command line from the outside: exit codes, one-sentence errors, never a traceback."""
 
 import json
 import os
@@ -11,7 +11,7 @@ import pytest
 
 STAND_IN = Path(__file__).parent / "stand_in.py"
 PHANTOM = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n'
-INTERRUPTED = "cicatrix: interrupted; the same command with --resume goes on from the last checkpoint"
+INTERRUPTED = "cicatrix: interrupted; to continue from the last checkpoint, run the same command with --resume"
 
 
 @pytest.fixture
@@ -78,11 +78,21 @@ def test_run_with_bad_case_leaves_nothing(case, tmp_path):
 def test_run_tells_the_headline(case, tmp_path):
     done = stand_in("run", case, cwd=tmp_path)
     assert done.returncode == 0
-    assert done.stdout.startswith("The cavity closed on day 14.\n  time_to_closure_days")
+    first, second, third = done.stdout.splitlines()[:3]
+    assert first == "The cavity closed on day 14."
+    assert "keeps the volume of the hole by assumption" in second
+    assert "not a prediction of the cosmetic result" in second
+    assert third.startswith("  time_to_closure_days")
     assert "by_visit" not in done.stdout
     assert "cycles: 33% cycle 0" in done.stderr  # plain lines: the stream is no terminal
     assert "\x1b" not in done.stderr
     assert status(tmp_path / "runs" / "case")["state"] == "finished"
+
+
+def test_the_headline_of_loaded_deposition_has_no_assumption(case, tmp_path):
+    done = stand_in("run", case, "--set", 'healing.deposition="loaded"', cwd=tmp_path)
+    assert done.returncode == 0
+    assert "by assumption" not in done.stdout
 
 
 def test_finished_run_is_kept(case, tmp_path):
@@ -120,7 +130,7 @@ def test_every_bad_end(end, code, last, state, case, tmp_path):
 def test_fault_inside_points_to_its_traceback(case, tmp_path):
     done = stand_in("run", case, "--out", "out", cwd=tmp_path, END="bug")
     assert done.returncode == 3
-    match = re.search(r"cicatrix: a fault inside cicatrix \(ZeroDivisionError\).* (\S+)\n$", done.stderr)
+    match = re.search(r"cicatrix: internal error \(ZeroDivisionError\).* (\S+)\n$", done.stderr)
     assert match
     assert "ZeroDivisionError: division by zero" in Path(match[1]).read_text()
     assert status(tmp_path / "out")["state"] == "failed"

@@ -1,4 +1,4 @@
-"""``cicatrix fit``: a folder that reads back, and one sentence where the input is at fault."""
+"""``cicatrix fit``: a folder that can be read back, and one-sentence errors for wrong input."""
 
 import json
 
@@ -42,7 +42,7 @@ def test_folder_of_a_fit(files, capsys):
     assert (files / "found" / "figures" / "fit.png").stat().st_size > 10_000
     assert "law.0.mu_kPa" in capsys.readouterr().out
     assert main(["fit", "case.toml", "data.csv", *FREE, "--out", "found"]) == 2
-    assert "found is there already" in capsys.readouterr().err
+    assert "found exists" in capsys.readouterr().err
 
 
 def test_one_key_twice_is_refused(files, capsys):
@@ -53,7 +53,7 @@ def test_one_key_twice_is_refused(files, capsys):
 @pytest.mark.parametrize(
     ("free", "words"),
     [
-        ("law.0.mu=1..2", "law.0.mu is no number of a law that can be fitted; did you mean law.0.mu_kPa?"),
+        ("law.0.mu=1..2", "law.0.mu is not a parameter of a law that can be fitted; did you mean law.0.mu_kPa?"),
         ("law.0.mu_kPa", "must read KEY=LOW..HIGH"),
         ("law.0.mu_kPa=a..b", "must read KEY=LOW..HIGH"),
         ("law.0.mu_kPa=2..1", "the bounds must ascend"),

@@ -1,4 +1,4 @@
-"""``cicatrix mesh``: what it writes is what cases of kind equilibrium read."""
+"""``cicatrix mesh``: its output can be read by cases of kind equilibrium."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,7 @@ from cicatrix.geometry.volume import Volume
 
 @pytest.fixture(scope="module")
 def labels(tmp_path_factory):
-    """Half a ball of 30 mm at the image's end: gland within 12 mm of its middle, fat around."""
+    """Write labels of half a ball of 30 mm that ends at the last image plane: gland within 12 mm of its centre, fat outside."""
     across, depth = 2.0 * (np.arange(37) - 18), 2.0 * (np.arange(18) - 17.5)
     z, y, x = np.meshgrid(across, depth, across, indexing="ij")
     r = np.sqrt(x**2 + y**2 + z**2)
@@ -39,7 +39,7 @@ def test_a_label_map_becomes_a_body(labels, tmp_path, capsys):
     assert np.sum(volume * body.density) == pytest.approx(mass, rel=0.02)
 
 
-@pytest.mark.parametrize(("name", "words"), [("body.stl", "must end in .vtu"), ("there.vtu", "is there already")])
+@pytest.mark.parametrize(("name", "words"), [("body.stl", "must end in .vtu"), ("there.vtu", "already exists")])
 def test_one_sentence(name, words, labels, tmp_path, capsys):
     (tmp_path / "there.vtu").touch()
     assert main(["mesh", str(labels), "--out", str(tmp_path / name)]) == 2
@@ -51,5 +51,5 @@ def test_a_body_that_nothing_holds(tmp_path, capsys):
     values[6:18, 6:18, 6:18] = Label.FAT
     write_volume(tmp_path / "labels.nii.gz", Volume(values, (2.0, 2.0, 2.0), (0.0, 0.0, 0.0)))
     assert main(["mesh", str(tmp_path / "labels.nii.gz"), "--out", str(tmp_path / "body.vtu")]) == 2
-    assert "nothing holds it" in capsys.readouterr().err
+    assert "nothing supports it" in capsys.readouterr().err
     assert not (tmp_path / "body.vtu").exists()

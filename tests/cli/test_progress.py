@@ -1,4 +1,4 @@
-"""Stages are timed, told in plain lines or shown as bars."""
+"""Stages are timed and shown as plain lines or bars."""
 
 import io
 import time

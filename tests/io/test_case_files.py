@@ -1,4 +1,4 @@
-"""Every kind of bad input, typed as a real file: one sentence each that names the key."""
+"""Every kind of bad input, written as a real file: each gives one sentence that names the key."""
 
 import os
 from pathlib import Path
@@ -10,7 +10,7 @@ from cicatrix.core.errors import InputError
 from cicatrix.kinds.lumpectomy.case import LumpectomyCase
 from cicatrix.kinds.registry import check_case, load_case
 
-# The example of the interface page, word for word.
+# The example of the interface page, unchanged.
 INTERFACE_EXAMPLE = """\
 kind = "lumpectomy"
 dimension = 2                        # 2 (plane strain slice) or 3
@@ -80,7 +80,7 @@ def test_case_is_frozen_and_comparable(write):
     first, second = load_case(write(PHANTOM)), load_case(write(PHANTOM))
     assert first == second
     assert isinstance(first, LumpectomyCase)
-    with pytest.raises(ValueError):
+    with pytest.raises(AttributeError, match="does not change"):
         first.run.seed = 3  # pyright: ignore
 
 
@@ -178,7 +178,7 @@ def test_one_fault_of_a_solid_one_sentence(name, write):
 
 
 def test_an_image_is_no_mirror_image(write):
-    words = "must be three letters of L or R, A or P, S or I, where x, y and z lead, and no mirror image"
+    words = "must be the directions of x, y and z, one each of L or R, A or P, S or I, without mirroring"
     assert check_case(write(PHANTOM + 'axes = "LPI"')) == [f'image.axes {words}; got "LPI"']
     assert check_case(write(PHANTOM + 'axes = "RIA"')) == []
 
@@ -260,7 +260,7 @@ def test_data_prefix(write, tmp_path, monkeypatch):
     monkeypatch.setenv("CICATRIX_DATA", str(tmp_path / "images"))
     assert load_case(write(text)).image.path == (tmp_path / "images" / "a.nii.gz").resolve()
     monkeypatch.setenv("CICATRIX_DATA", str(tmp_path / "nowhere"))
-    assert "which is no folder" in check_case(write(text))[0]
+    assert "which is not a folder" in check_case(write(text))[0]
 
 
 def test_data_beside_the_project(tmp_path, monkeypatch):

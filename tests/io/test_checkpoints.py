@@ -1,4 +1,4 @@
-"""Checkpoints: exact, deterministic, never half-made; damage is noticed."""
+"""Checkpoints are exact, deterministic and never half-written; damage is detected."""
 
 import signal
 import subprocess
@@ -88,7 +88,7 @@ checkpoints.save_checkpoint(folder, 2, {"a": np.arange(20)})
 @pytest.mark.skipif(sys.platform == "win32", reason="no SIGKILL")
 @pytest.mark.parametrize(("after", "cycle"), [(0, 1), (1, 1), (2, 1), (3, 2), (4, 2)])
 def test_kill_while_writing(tmp_path, after, cycle):
-    """Die before the n-th flush: two flushes per file, npz then JSON; the JSON's rename makes cycle 2 valid."""
+    """End the process before the n-th flush (two per file, npz then JSON); renaming the JSON file makes cycle 2 valid."""
     done = subprocess.run([sys.executable, "-c", KILLED, str(tmp_path), str(after)], check=False)
     assert done.returncode == (0 if after == 4 else -signal.SIGKILL)
     checkpoint = load_checkpoint(tmp_path)

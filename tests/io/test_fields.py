@@ -1,4 +1,4 @@
-"""VTU and the series: what is read back is what was written."""
+"""VTU files and their series are read back as they were written."""
 
 from xml.etree import ElementTree
 
@@ -6,7 +6,7 @@ import meshio
 import numpy as np
 import pytest
 
-from cicatrix.files.vtu import Frame, read_series, write_series, write_vtu
+from cicatrix.files.vtu import TimeStepFile, read_series, write_series, write_vtu
 
 CORNERS = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
 MIDDLES = np.array([[0.5, 0.0], [0.5, 0.5], [0.0, 0.5]])
@@ -37,12 +37,12 @@ def test_bad_triangles(tmp_path):
 
 
 def test_series_round_trip(tmp_path):
-    frames = [Frame("body", 0, 0.0), Frame("wound", 0, 0.0), Frame("body", 1, 7.1)]
-    write_series(tmp_path, frames)
+    step_files = [TimeStepFile("body", 0, 0.0), TimeStepFile("wound", 0, 0.0), TimeStepFile("body", 1, 7.1)]
+    write_series(tmp_path, step_files)
     root = ElementTree.parse(tmp_path / "series.pvd").getroot()
     assert (root.tag, root.get("type")) == ("VTKFile", "Collection")
     rows = list(root.iter("DataSet"))
     assert [row.get("file") for row in rows] == ["body-0000.vtu", "wound-0000.vtu", "body-0001.vtu"]
     assert [float(row.get("timestep", "nan")) for row in rows] == [0.0, 0.0, 7.1]
     assert [row.get("part") for row in rows] == ["0", "1", "0"]
-    assert read_series(tmp_path) == frames
+    assert read_series(tmp_path) == step_files

@@ -1,4 +1,4 @@
-"""Every orientation reads to the same place; every bad file ends in one sentence."""
+"""Images of every orientation are read to the same positions; every bad file gives a one-sentence error."""
 
 import gzip
 import os
@@ -18,13 +18,13 @@ DATA = Path(os.environ.get("CICATRIX_DATA", Path(__file__).parents[3] / "shared"
 
 
 def smooth(points):
-    """A smooth intensity at points (..., 3) [mm]."""
+    """Return a smooth intensity at points (..., 3) [mm]."""
     x, y, z = np.moveaxis(points, -1, 0)
     return 100 + 30 * np.sin(x / 9) + 20 * np.cos(y / 11) + 10 * np.sin(z / 8)
 
 
 def stored(direction, size=(24, 20, 16), spacing=(1.0, 1.5, 2.0), origin=(5.0, -7.0, 3.0)):
-    """An image of `smooth` stored with the given direction cosines."""
+    """Store an image of `smooth` with the given direction cosines."""
     image = sitk.Image(size, sitk.sitkFloat32)
     image.SetDirection(np.asarray(direction, float).ravel().tolist())
     image.SetSpacing(spacing)
@@ -185,7 +185,9 @@ def test_bad_input_is_refused_in_one_sentence(tmp_path, capfd, make, says):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize(("value", "says"), [(7, "it also has 7"), (0, "no voxel of the breast"), (5, "no voxel")])
+@pytest.mark.parametrize(
+    ("value", "says"), [(7, "this one also has 7"), (0, "no voxel of the breast"), (5, "no voxel")]
+)
 def test_label_maps_are_checked(tmp_path, value, says):
     path = save(tmp_path / "labels.nii.gz", np.full((4, 4, 4), value, np.uint8))
     with pytest.raises(InputError, match=says):

@@ -1,4 +1,4 @@
-"""Keys of a law's table in a case file, derived from what the law declares."""
+"""Keys of a law's table in a case file, derived from the fields of the law."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from pydantic import ValidationError, create_model
 
 from cicatrix.cases.laws import LAWS, union_of
-from cicatrix.cases.reading import _sentence
+from cicatrix.cases.sentences import sentences_of
 from cicatrix.cases.table import Table
 from cicatrix.core.errors import InputError
 from cicatrix.core.law import Law, choice, param
@@ -26,7 +26,7 @@ class Even(Law):
 
 
 class Straight(Law):
-    """No parameters."""
+    """Waviness without parameters."""
 
 
 class Turning(EnergyMaterial):
@@ -43,7 +43,7 @@ class Turning(EnergyMaterial):
 
 
 class Stack(EnergyMaterial):
-    """A law of any laws."""
+    """Law that contains a list of laws."""
 
     layers: tuple[EnergyMaterial, ...]
     thickness: float = param("mm", "h", low=0.0, typed="um", default=1.0)
@@ -61,7 +61,7 @@ def built(**keys):
 def sentences(*laws):
     with pytest.raises(ValidationError) as error:
         Case.model_validate({"law": list(laws)})
-    return [_sentence(item, Case) for item in error.value.errors(include_url=False)]
+    return sentences_of(error.value, Case)
 
 
 def test_what_is_typed_is_what_the_law_counts_in():

@@ -1,4 +1,4 @@
-"""SBML: models of ours with closed forms, numbers of the semantic test suite, and what is refused."""
+"""SBML: models with closed-form solutions, results of the SBML test suite, and what is refused."""
 
 import re
 from pathlib import Path
@@ -22,7 +22,7 @@ TOP = '<sbml xmlns="http://www.sbml.org/sbml/level3/version1/core" level="3" ver
 
 
 def course(model, end, n=11):
-    """States (n, n_species) at even times, by SciPy over our rates."""
+    """Return states (n, n_species) at even times, integrated by SciPy with our rates."""
     times = np.linspace(0.0, end, n)
     rate = lambda t, y: np.asarray(model.law.rate(y, None, t))  # noqa: E731
     return times, solve_ivp(rate, (0.0, end), model.start, "LSODA", times, rtol=1e-9, atol=1e-13).y.T
@@ -33,7 +33,7 @@ def test_a_model_of_ours_is_its_closed_form():
     model = read_sbml(HERE / "reversible.xml")
     assert model.law.species == ("A", "B", "N", "clock")
     assert dict(zip(model.law.input_names, model.inputs)) == {"cell": 2.0, "k_on": 0.5, "double": 2.0, "back_k": 0.25}
-    assert not model.law.heeds_time
+    assert not model.law.is_time_dependent
     t, y = course(model, 4.0)
     a = 1.0 + 2.0 * np.exp(-0.75 * t)
     made = 2.0 * 2.0 * 0.5 * (t + 2.0 / 0.75 * (1.0 - np.exp(-0.75 * t)))  # twice the integral of 2 l * k_on * A
@@ -105,7 +105,7 @@ def test_semantic_case_8(tmp_path):
 
 
 def test_a_network_of_hill_functions_written_as_sbml_is_itself(tmp_path):
-    """The benchmark's network as a peer gets it, in printed formulas, and as SciPy does: three ways to one rate."""
+    """The benchmark's network as SBML, as the NumPy function for SciPy and as our law has the same rate."""
     law = network()
     path = tmp_path / "network.xml"
     path.write_text(sbml_text(law, libsbml))
@@ -161,10 +161,10 @@ REFUSED = {
     ),
     "without a law": (SPECIES.format(""), 'reaction "r" has no kinetic law'),
     "nothing": ("", "nothing changes in this model: it has no reaction and no rate rule"),
-    "no value": (
+    "no initial value": (
         '<listOfParameters><parameter id="x" constant="false"/></listOfParameters><listOfRules>'
         f'<rateRule variable="x"><math {MATH}><cn>1</cn></math></rateRule></listOfRules>',
-        '"x" has no value at the start',
+        '"x" has no initial value',
     ),
     "not valid": ('<listOfParameters><parameter id="x"/></listOfParameters>', "not valid SBML"),
 }
@@ -184,8 +184,8 @@ def test_what_is_not_supported_is_named(name, tmp_path):
     ("text", "words"),
     [
         (" \n", "is empty"),
-        ("species,reaction\n", "is no file of SBML: there is no <sbml> in it"),
-        ("<html></html>", "is no file of SBML: there is no <sbml> in it"),
+        ("species,reaction\n", "is not an SBML file: there is no <sbml> in it"),
+        ("<html></html>", "is not an SBML file: there is no <sbml> in it"),
         ("<sbml", "not valid SBML"),
     ],
 )
@@ -215,6 +215,6 @@ def test_a_formula_of_everything(tmp_path):
     path = tmp_path / "model.xml"
     path.write_text(f"{TOP}{inside}</model></sbml>")
     law = read_sbml(path).law
-    assert law.heeds_time
+    assert law.is_time_dependent
     np.testing.assert_allclose(law.rate(np.array([2.0]), None, 0.5), [8.0])
     np.testing.assert_allclose(law.rate(np.array([2.0]), None, 1.5), [2.0 + 5.0 - np.pi])

@@ -1,4 +1,4 @@
-"""A compiler for tests of laws at a few points: it takes a third of the time, and the code is slow."""
+"""Compiler options for tests of laws at a few points: compilation takes a third of the time, and the code is slow."""
 
 from functools import partial
 

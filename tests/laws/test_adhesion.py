@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from cicatrix.biology.adhesion import Adhesion, after, anchored
+from cicatrix.biology.adhesion import Adhesion, relax_bound_fraction, steady_state
 from cicatrix.biology.bond import Bell, CatchBond
 from cicatrix.biology.contraction import ConstantForce, Feedback
 from cicatrix.biology.substrate import Column, ExponentialFibre, LinearSubstrate, TabulatedCurve
@@ -25,15 +25,15 @@ def on_spring(k, force=7.0, energy="work", bond=BELL):
 
 
 def test_unloaded_bonds():
-    """0.01 / 0.022 = 5/11, of a rigid substrate too."""
-    assert float(anchored(on_spring(1e4, force=0.0), 1.0).steady) == pytest.approx(5 / 11, rel=1e-14)
-    assert float(anchored(on_spring(1e15), 1.0).steady) == pytest.approx(5 / 11, rel=1e-10)
+    """The bound fraction is 0.01 / 0.022 = 5/11, also on a rigid substrate."""
+    assert float(steady_state(on_spring(1e4, force=0.0), 1.0).steady) == pytest.approx(5 / 11, rel=1e-14)
+    assert float(steady_state(on_spring(1e15), 1.0).steady) == pytest.approx(5 / 11, rel=1e-10)
 
 
 @pytest.mark.parametrize(("energy", "share"), [("work", 1.0), ("stored", 0.5)])
 def test_spring(energy, share):
     """By hand: f^2/k as worked and f^2/2k as stored, k_off = 0.012 exp(dE / kT), t_a = f phi rho_i, 1 pN/um^2 = 1 Pa."""
-    at = anchored(on_spring(2e3, energy=energy), np.array([0.9, 1.2]))
+    at = steady_state(on_spring(2e3, energy=energy), np.array([0.9, 1.2]))
     dE = share * 49.0 / 2e3
     k_off = 0.012 * np.exp(dE / 4.28317e-3)
     np.testing.assert_allclose(at.energy, dE, rtol=1e-14)
@@ -43,30 +43,30 @@ def test_spring(energy, share):
 
 
 def test_a_step_has_the_odes_fixed_point_as_it_shrinks():
-    """P_on / (P_on + P_off) is off by phi (1 - phi) (k_off - k_on) dt / 2, by hand."""
+    """By hand, P_on / (P_on + P_off) differs from the fixed point of the ODE by phi (1 - phi) (k_off - k_on) dt / 2."""
     law = on_spring(2e4)
-    at = anchored(law, 1.0)
+    at = steady_state(law, 1.0)
     for dt in (1e-1, 1e-3):
-        on, off = law.chances(dt, at.k_off)
+        on, off = law.step_probabilities(dt, at.k_off)
         assert float(on) == pytest.approx(1 - np.exp(-0.01 * dt), rel=1e-9)
         shift = 0.5 * dt * float(at.steady * (1 - at.steady) * (at.k_off - 0.01))
         assert float(on / (on + off) - at.steady) == pytest.approx(shift, rel=1e-3)
 
 
 def test_time_course():
-    """Rate and solution of Eq. (24) belong together: a long way, and a short one."""
+    """Rate and solution of Eq. (24) agree, for a long and a short time."""
     law = on_spring(2e3)
-    at = anchored(law, 1.0)
-    assert float(after(0.9, 0.01, at.k_off, 1e9)) == pytest.approx(float(at.steady), rel=1e-14)
-    slope = jax.grad(lambda t: after(0.9, 0.01, at.k_off, t))(0.0)
+    at = steady_state(law, 1.0)
+    assert float(relax_bound_fraction(0.9, 0.01, at.k_off, 1e9)) == pytest.approx(float(at.steady), rel=1e-14)
+    slope = jax.grad(lambda t: relax_bound_fraction(0.9, 0.01, at.k_off, t))(0.0)
     assert float(slope) == pytest.approx(float(law.rate(0.9, 1.0)), rel=1e-14)
     assert float(law.rate(at.steady, 1.0)) == pytest.approx(0.0, abs=1e-17)
-    half = after(after(0.1, 0.01, at.k_off, 3.0), 0.01, at.k_off, 4.0)
-    assert float(half) == pytest.approx(float(after(0.1, 0.01, at.k_off, 7.0)), rel=1e-14)
+    half = relax_bound_fraction(relax_bound_fraction(0.1, 0.01, at.k_off, 3.0), 0.01, at.k_off, 4.0)
+    assert float(half) == pytest.approx(float(relax_bound_fraction(0.1, 0.01, at.k_off, 7.0)), rel=1e-14)
 
 
 def test_fibre_is_pulled_by_the_force():
-    """A_0 [P(stretch pulled to) - P(stretch)] = f, and both energies by their definitions."""
+    """A_0 [P(pulled stretch) - P(stretch)] = f, and both energies agree with their definitions."""
     pull = pulled(COLLAGEN, ConstantForce(200.0), STRETCH, 0.0)
     to = STRETCH + np.asarray(pull.displacement) / 0.1
     curve = COLLAGEN.curve
@@ -75,7 +75,7 @@ def test_fibre_is_pulled_by_the_force():
     stored = 0.0017 * (curve.energy(to) - curve.energy(STRETCH) - curve.stress(STRETCH) * (to - STRETCH))
     np.testing.assert_allclose(pull.stored, stored, rtol=1e-7)
     np.testing.assert_allclose(curve.stress(STRETCH), jax.vmap(jax.grad(curve.energy))(STRETCH), rtol=1e-12)
-    assert (np.asarray(pull.stored) < 0.5 * np.asarray(pull.work)).all()  # stiffens on the way
+    assert (np.asarray(pull.stored) < 0.5 * np.asarray(pull.work)).all()  # the curve stiffens
     k1, k2 = 0.004 * 17.599164683e6, 20.818113705
     assert float(pull.stiffness[0]) == pytest.approx(0.017 * 2 * k1 * k2 / 0.1, rel=1e-13)  # P'(1) = 2 k1 k2
 
@@ -89,7 +89,7 @@ def test_a_weak_pull_at_a_fibre_is_that_at_a_spring():
 
 
 def test_prestress_is_no_energy_of_a_bond():
-    """As printed, the work of the prestress would be 500 kT at a stretch of 1.1; the increment falls as the fibre stiffens."""
+    """As printed, the work of the prestress would be 500 kT at a stretch of 1.1; that of the increment falls with stiffness."""
     pull = pulled(COLLAGEN, ConstantForce(7.0), STRETCH, 0.0)
     to = STRETCH[-1] + pull.displacement[-1] / 0.1
     printed = 0.0017 * float(COLLAGEN.curve.energy(to) - COLLAGEN.curve.energy(STRETCH[-1]))
@@ -98,7 +98,7 @@ def test_prestress_is_no_energy_of_a_bond():
 
 
 def test_yielding_and_stiff_curves_are_followed():
-    """Roots by hand: x^3 = 8 from far off, a stress that saturates is found, and NaN comes where it never gets there."""
+    """By hand: x^3 = 8 from a distant initial guess; a saturating stress is found; NaN if the force is never reached."""
 
     @jax.jit
     def roots():
@@ -115,7 +115,7 @@ def test_yielding_and_stiff_curves_are_followed():
 
 
 def test_root_has_three_derivatives():
-    """x = y^(1/3) at 8: 1/12, -1/144, 5/3456 by hand."""
+    """By hand, for x = y^(1/3) at 8: 1/12, -1/144, 5/3456."""
 
     def root(y):
         return rising_root(lambda x: x**3 - y, jnp.array(0.0), jnp.array(1.0))
@@ -127,7 +127,7 @@ def test_root_has_three_derivatives():
 
 
 def test_tabulated_curve():
-    """Cubic pieces give a cubic back to rounding, its slope too, and straight lines beyond."""
+    """Cubic interpolation reproduces a cubic and its slope to round-off, and is linear outside the table."""
 
     def cubic(x):
         return 3.0 * x + 5.0 * (x - 1.0) ** 3
@@ -141,22 +141,22 @@ def test_tabulated_curve():
     np.testing.assert_allclose(slope(x), 3.0 + 15.0 * (x - 1.0) ** 2, rtol=1e-12)
     np.testing.assert_allclose(slope(np.array([0.5, 2.0])), [3.15, 5.4], rtol=1e-12)
     assert float(stress(1.6)) == pytest.approx(cubic(1.4) + 0.2 * 5.4)
-    with pytest.raises(InputError, match="as many stresses as slopes"):
+    with pytest.raises(InputError, match="as many slopes as stresses"):
         TabulatedCurve(nodes, nodes[1:], 1.0, 2.0)
 
 
 def test_feedback_limits():
-    """Eq. (25): f0 / (1 - beta + k_a / k_N) = 100 / 5.5 on what is rigid, f0 k_eff / k_a = k_eff / 200 on what is soft."""
+    """Limits of Eq. (25): f0 / (1 - beta + k_a / k_N) = 100 / 5.5 on rigid, f0 k_eff / k_a = k_eff / 200 on soft substrates."""
     assert float(CAO.force(1e20)) == pytest.approx(100 / 5.5, rel=1e-12)
     assert float(CAO.force(1e-6)) == pytest.approx(5e-9, rel=1e-9)
     assert float(CAO.force(2e4)) == pytest.approx(100 / 6.5, rel=1e-14)  # k_a / k_eff = 1
     assert float(CAO.force(0.0)) == 0.0
-    weak = Feedback(100.0, 0.0, 1e-9, 1e9)  # nothing to feel with: f0
+    weak = Feedback(100.0, 0.0, 1e-9, 1e9)  # without mechanosensing: f0
     assert float(weak.force(5.0)) == pytest.approx(100.0, rel=1e-9)
 
 
 def test_feedback_out_of_its_validity():
-    """1 - 2 + 0.5 + 100 / k: positive below k = 200."""
+    """The denominator 1 - 2 + 0.5 + 100 / k is positive below k = 200."""
     far = Feedback(100.0, 2.0, 100.0, 200.0)
     far.check(np.array([50.0, 199.0]))
     with pytest.raises(
@@ -173,7 +173,7 @@ def test_bond_fraction_is_stationary_where_feedback_balances_stiffness():
     balance = 2e4 / 5.5
 
     def at(k):
-        return Adhesion(BELL, LinearSubstrate(k), CAO, 400.0).anchored(1.0)
+        return Adhesion(BELL, LinearSubstrate(k), CAO, 400.0).steady_state(1.0)
 
     assert float(jax.jit(jax.grad(lambda k: at(k).steady))(balance)) == pytest.approx(0.0, abs=1e-15)
     assert float(at(balance).force) == pytest.approx(100 / 11, rel=1e-14)
@@ -200,7 +200,7 @@ def test_maxwell_fluid_creeps_for_ever():
 
 
 def test_feedback_on_a_solid_that_relaxes():
-    """It starts and ends as on springs of both stiffnesses, obeys its dashpot, and the force is that of k_eff = f / u."""
+    """It starts and ends as on springs of the two stiffnesses, satisfies the dashpot, and the force uses k_eff = f / u."""
     solid = StandardLinearSolid(2e3, 6e3, 4e4)
     ends = pulled(solid, CAO, 1.0, np.array([0.0, 1e6]))
     np.testing.assert_allclose(ends.force, CAO.force(np.array([8e3, 2e3])), rtol=1e-10)
@@ -218,13 +218,13 @@ def test_feedback_on_a_solid_that_relaxes():
 
 
 def test_catch_bond():
-    """By hand: 2 e^-1 + 0.1 e^(1/2) at 5 pN; longest-lived where 2/5 e^(-f/5) = 0.1/10 e^(f/10): f = ln 40 / 0.3."""
+    """By hand: 2 e^-1 + 0.1 e^(1/2) at 5 pN; longest lifetime where 2/5 e^(-f/5) = 0.1/10 e^(f/10): f = ln 40 / 0.3."""
     bond = CatchBond(0.5, 2.0, 0.1, 5.0, 10.0)
     assert float(bond.k_off(5.0, 0.0)) == pytest.approx(2 * np.exp(-1) + 0.1 * np.exp(0.5))
     assert float(bond.strongest()) == pytest.approx(np.log(40) / 0.3)
     assert float(jax.grad(bond.k_off)(bond.strongest(), 0.0)) == pytest.approx(0.0, abs=1e-15)
     assert float(CatchBond(0.5, 0.0, 0.1, 5.0, 10.0).strongest()) == 0.0
-    loose, held = (anchored(on_spring(1e3, force=f, bond=bond), 1.0).steady for f in (0.0, 12.0))
+    loose, held = (steady_state(on_spring(1e3, force=f, bond=bond), 1.0).steady for f in (0.0, 12.0))
     assert held > 2 * loose
 
 
@@ -239,7 +239,7 @@ def test_derivatives_by_everything(substrate, energy, slope):
 
     def traction(scales):
         law, stretch, time = jax.tree.unflatten(form, [leaf * s for leaf, s in zip(leaves, scales)])
-        return law.anchored(stretch, time).traction
+        return law.steady_state(stretch, time).traction
 
     compiled, ones = jax.jit(traction), np.ones(len(leaves))
     gradient = jax.jit(jax.grad(traction))(ones)
@@ -251,11 +251,11 @@ def test_derivatives_by_everything(substrate, energy, slope):
 
 
 def test_parameters_may_be_fields():
-    """A number for each point, and points that know nothing of each other."""
+    """Parameters may have one value per point; the points do not affect each other."""
     law = Adhesion(Bell(np.array([0.01, 0.02]), 0.012), COLLAGEN, CAO, np.array([300.0, 500.0]))
-    both = anchored(law, np.array([1.02, 1.05]))
+    both = steady_state(law, np.array([1.02, 1.05]))
     for i, (k_on, stretch, density) in enumerate([(0.01, 1.02, 300.0), (0.02, 1.05, 500.0)]):
-        alone = anchored(Adhesion(Bell(k_on, 0.012), COLLAGEN, CAO, density), stretch)
+        alone = steady_state(Adhesion(Bell(k_on, 0.012), COLLAGEN, CAO, density), stretch)
         np.testing.assert_allclose([field[i] for field in both], [float(field) for field in alone], rtol=1e-12)
 
 

@@ -1,4 +1,4 @@
-"""Clusters that share their load: lifetimes in closed form, and as they are sampled."""
+"""Clusters of bonds that share their load: lifetimes in closed form and from samples."""
 
 import jax
 import numpy as np
@@ -9,21 +9,21 @@ from cicatrix.biology.cluster import ForceSharing, critical_load, mean_lifetime,
 
 @pytest.mark.parametrize("size", [1, 2, 10, 100])
 def test_no_force_no_rebinding(size):
-    """They open one by one: the harmonic number."""
+    """Bonds open one after the other, so the lifetime is a harmonic number."""
     assert float(ForceSharing(0.0).lifetime(size, 0.0)) == pytest.approx(
         sum(1 / i for i in range(1, size + 1)), rel=1e-13
     )
 
 
 def test_force_without_rebinding():
-    """sum exp(-f / i) / i, batched over forces."""
+    """The lifetime is sum exp(-f / i) / i, for a batch of forces."""
     f, i = np.array([0.5, 3.0, 20.0]), np.arange(1, 8)
     np.testing.assert_allclose(ForceSharing(0.0).lifetime(7, f), (np.exp(-f[:, None] / i) / i).sum(axis=1), rtol=1e-13)
 
 
 @pytest.mark.parametrize("gamma", [0.1, 1.0, 3.0])
 def test_rebinding_without_force(gamma):
-    """Erdmann & Schwarz 2004: (H_N + sum binom(N, n) gamma^n / n) / (1 + gamma); of two bonds by hand 3/2 + gamma / 2."""
+    """Erdmann & Schwarz 2004: (H_N + sum binom(N, n) gamma^n / n) / (1 + gamma); for two bonds by hand 3/2 + gamma / 2."""
     from math import comb
 
     size = 6
@@ -41,7 +41,7 @@ def test_two_bonds_by_hand():
 
 @pytest.mark.parametrize(("gamma", "force"), [(0.0, 0.0), (0.0, 4.0), (1.0, 2.0)])
 def test_sampled_lifetimes(gamma, force):
-    """Mean of 20 000 within 4 standard errors."""
+    """The mean of 20 000 samples is within 4 standard errors."""
     law, i = ForceSharing(gamma), np.arange(1.0, 6.0)
     opening, closing = np.asarray(law.opening(i, force)), np.asarray(law.closing(i, 5))
     times = sample_lifetimes(opening, closing, 20_000, 5)
@@ -54,7 +54,7 @@ def test_clusters_that_live_on_are_told():
 
 
 def test_critical_force():
-    """The fixed points meet where i e^(f/i) = gamma (N - i) is touched: searched for on a fine grid of i."""
+    """At the critical force i e^(f/i) touches gamma (N - i); it is found on a fine grid of i."""
     size, gamma = 100, 1.0
     critical = float(ForceSharing(gamma).critical_force(size))
     assert critical == pytest.approx(100 * 0.278464542761, rel=1e-10)  # w e^w = 1/e
@@ -71,7 +71,7 @@ def test_derivative_by_force(slope):
 
 
 def test_shared_is_the_cluster_of_bell_bonds():
-    """k_off0 exp(F / f_b) with f_b = 4 pN: times of 1 / k_off0, forces of f_b."""
+    """Bell bonds with f_b = 4 pN: k_off0 exp(F / f_b), times in units of 1 / k_off0 and forces in units of f_b."""
     found = jax.jit(lambda f: shared(6, f, lambda force: 0.02 * np.e ** (force / 4.0), 0.03, True))(
         np.array([1.0, 3.0])
     )
@@ -83,6 +83,6 @@ def test_shared_is_the_cluster_of_bell_bonds():
 
 @pytest.mark.parametrize("gamma", [0.1, 1.0, 30.0])
 def test_critical_load_is_that_of_shared_force(gamma):
-    """k_off = e^f, k_on = gamma: searched for, and in closed form."""
+    """For k_off = e^f and k_on = gamma, the numerical critical load equals the closed form."""
     (found,) = critical_load(7, jax.numpy.exp, np.array([gamma]))
     assert found == pytest.approx(float(ForceSharing(gamma).critical_force(7)), rel=1e-9)

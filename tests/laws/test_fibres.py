@@ -1,4 +1,4 @@
-"""Fibres by their directions and waviness, against closed forms and quadrature by another library."""
+"""Fibre distributions in direction and waviness, compared with closed forms and quadrature by another library."""
 
 from dataclasses import replace
 
@@ -45,7 +45,7 @@ def test_von_mises_turns_with_its_mean():
 
 @pytest.mark.parametrize("concentration", [0.5, 3.0, 15.0])
 def test_fisher_moment(concentration):
-    """The integral of x^2 c cosh(c x) / (2 sinh c) over -1 .. 1 by parts: 1 - 2 coth(c) / c + 2 / c^2."""
+    """Integral of x^2 c cosh(c x) / (2 sinh c) over -1 .. 1 by parts: 1 - 2 coth(c) / c + 2 / c^2."""
     axis = np.array([1.0, 2.0, -1.0])
     along = 1 - 2 / np.tanh(concentration) / concentration + 2 / concentration**2
     a = axis / np.linalg.norm(axis)
@@ -54,7 +54,7 @@ def test_fisher_moment(concentration):
 
 
 def test_bingham_moment():
-    """Two equal concentrations leave symmetry about the third axis: one integral over x = cos, by QUADPACK."""
+    """Two equal concentrations are symmetric about the third axis: one integral over x = cos, by QUADPACK."""
     whole = quad(lambda x: np.exp(4.0 * (1 - x * x)), 0, 1)[0]
     third = quad(lambda x: x * x * np.exp(4.0 * (1 - x * x)), 0, 1)[0] / whole
     expected = np.diag([0.5 * (1 - third), 0.5 * (1 - third), third])
@@ -73,7 +73,7 @@ DENSITIES = {
 @pytest.mark.parametrize("name", DENSITIES)
 @pytest.mark.parametrize("stretch", [0.9, 1.05, 1.07, 1.2, 1.225, 1.3, 1.39, 1.4, 2.0])
 def test_recruitment(name, stretch):
-    """Moments below, inside and beyond the support, by QUADPACK."""
+    """Moments below, inside and above the support agree with QUADPACK."""
     waviness, density = DENSITIES[name]
     end = min(max(stretch, 1.05), 1.4)
     for found, k in zip(waviness.recruited(np.array([stretch])), (0, 1, -2), strict=True):
@@ -84,7 +84,7 @@ def test_recruitment(name, stretch):
 
 @pytest.mark.parametrize("name", DENSITIES)
 def test_points_of_waviness(name):
-    """Gauss points give the mean of w^-2."""
+    """Gauss points integrate w^-2 exactly."""
     waviness, density = DENSITIES[name]
     at, weight = waviness.points(8)
     expected = sum(quad(lambda w: density(w) / w**2, *ends)[0] for ends in ((1.05, 1.225), (1.225, 1.4)))
@@ -97,7 +97,7 @@ def stress(law, F):
 
 
 def test_equibiaxial_stretch():
-    """F V = l V for all fibres of the plane: P = mu_f (l - l^-2) times the second moment of their directions."""
+    """All fibres of the plane have F V = l V: P = mu_f (l - l^-2) times the second moment of their directions."""
     law, order = FibreDistribution(2.0, VonMises(1.5)), i1(1.5) / i0(1.5)
     pull = 2.0 * (1.3 - 1.3**-2)
     np.testing.assert_allclose(
@@ -106,7 +106,7 @@ def test_equibiaxial_stretch():
 
 
 def test_waviness_beyond_its_support_is_neo_hookean_like():
-    """All straight: dPsi/dl = mu_f (l E[w^-2] - E[w] / l^2); uniform on 1 to 1.4: E[w^-2] = 1/1.4, E[w] = 1.2."""
+    """If all are straight: dPsi/dl = mu_f (l E[w^-2] - E[w] / l^2); uniform on 1 to 1.4: E[w^-2] = 1/1.4, E[w] = 1.2."""
     law = FibreDistribution(2.0, Single(0.0), Uniform(1.0, 1.4))
     assert stress(law, np.diag([1.6, 1.0, 1.0]))[0, 0] == pytest.approx(2.0 * (1.6 / 1.4 - 1.2 / 1.6**2), rel=1e-13)
 
@@ -123,7 +123,7 @@ lost = compiled(lambda law, F, before, after, dt: law.dissipated(F, before, afte
 
 
 def relaxed(law, F, times):
-    """Tension along x after each time, in as many steps from virgin, all at F; and what was dissipated."""
+    """Return tension along x after each time at constant F, from the initial state in n steps, and the dissipated energy."""
     state, pulls, heat = law.initial_state(()), [], 0.0
     for dt in np.diff(times, prepend=0.0):
         answer = step(law, F, state, dt)
@@ -143,7 +143,7 @@ def test_moduli_and_relaxation_of_small_strain():
 
 
 def test_relaxation_is_first_order_in_the_step():
-    """Against exp(-t / t_r) at t = t_r, small strain."""
+    """Compare with exp(-t / t_r) at t = t_r for small strain."""
     F = np.diag([1.0 + 1e-6, 1.0, 1.0])
     exact = 6e-6 * (1 + 0.5 * np.exp(-1.0))
     errors = [abs(relaxed(STRAIGHT, F, np.linspace(0, 10, n + 1))[0][-1] - exact) for n in (8, 16, 32)]
@@ -152,7 +152,7 @@ def test_relaxation_is_first_order_in_the_step():
 
 
 def test_all_that_the_branch_stored_becomes_heat():
-    """Held at 1.3: beta mu_f / 2 (1.3^2 + 2/1.3 - 3) in the end, to first order in the step; dissipation lags behind it."""
+    """Held at 1.3, the dissipation tends to beta mu_f / 2 (1.3^2 + 2/1.3 - 3) from below, to first order in the step."""
     stored = 0.5 * 2.0 / 2 * (1.3**2 + 2 / 1.3 - 3)
     errors = [
         relaxed(STRAIGHT, np.diag([1.3, 1.0, 1.0]), np.linspace(0, 150, n + 1))[1] / stored - 1 for n in (150, 300)
@@ -179,7 +179,7 @@ def test_quadrature_error_can_be_asked_for():
 
 
 def test_quadrature_error_is_that_of_waviness_too():
-    """Of one direction, only waviness is summed: against the closed form of the elastic part, which the branch at once equals."""
+    """With one direction only waviness is integrated: compare with the elastic closed form, which the branch equals at once."""
     F = np.stack([np.diag([x, x**-0.5, x**-0.5]) for x in (1.1, 1.2, 1.35)])
     elastic = FibreDistribution(2.0, Single(0.0), Uniform(1.0, 1.4))
     exact = np.asarray(elastic.stress(F))
@@ -218,7 +218,7 @@ def test_bad_parameters_are_named(make, sentence):
     ids=["uniform waviness", "in space", "one number per point", "in a sum", "active"],
 )
 def test_response_by_moments_is_the_derived_one(law):
-    """Of virgin elastic fibres, some of them slack."""
+    """Compare both for elastic fibres in the initial state, some of them slack."""
     F = np.eye(3) + 0.3 * np.random.default_rng(5).uniform(-1, 1, (3, 3, 3))
 
     @compiled

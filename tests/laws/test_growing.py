@@ -1,4 +1,4 @@
-"""Growth around a law, against closed forms of one direction."""
+"""Growth around a law, compared with closed-form solutions in one direction."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ advance = compiled(lambda law, F, state, dt: law.advance(F, state, dt))
 
 
 def grown(law, F, dt, n):
-    """Growth after n equal steps at F."""
+    """Return the growth tensor after n equal steps at constant F."""
     state = law.initial_state(())
     for _ in range(n):
         state = advance(law, F, state, dt)
@@ -39,7 +39,7 @@ def test_the_growth_tensor_starts_at_the_identity():
     ],
 )
 def test_growth_at_fixed_stretch(growth, F):
-    """g' = (1.5 / g - 1) / tau of all three: t / tau = 1 - g - 1.5 ln((1.5 - g) / 0.5), to first order in the step."""
+    """g' = (1.5 / g - 1) / tau for all three laws: t / tau = 1 - g - 1.5 ln((1.5 - g) / 0.5), to first order in the step."""
     law = Growing(TISSUE, growth)
     errors = []
     for n in (10, 20, 40):
@@ -52,14 +52,14 @@ def test_growth_at_fixed_stretch(growth, F):
 
 
 def test_fibres_in_all_directions_grow_as_an_area_does():
-    """c = 0 and equibiaxial stretch l: every fibre grows alike, F_g = (1 + (g - 1) / 2) I in the plane, by Eq. (14) as read."""
+    """With c = 0 and equibiaxial stretch l all fibres grow alike: F_g = (1 + (g - 1) / 2) I in the plane, by Eq. (14)."""
     g, F_g = grown(Growing(TISSUE, FibreGrowth(10.0, None, VonMises(0.0))), np.diag([1.3, 1.3, 1.0]), 2.0, 5)
     np.testing.assert_allclose(g, g[0], rtol=1e-12)
     np.testing.assert_allclose(np.diag(F_g), [0.5 * (1 + g[0]), 0.5 * (1 + g[0]), 1.0], rtol=1e-12)
 
 
 def test_growth_at_constant_elastic_stretch_goes_on_evenly():
-    """F = 1.2 F_g kept so: lambda_g = 1 + 0.2 t / tau, exactly, at every step."""
+    """With F = 1.2 F_g in every step, lambda_g = 1 + 0.2 t / tau is exact."""
     law = Growing(TISSUE, FibreGrowth(10.0, None, Single(0.0)))
     state = law.initial_state(())
     for k in range(1, 6):
@@ -69,7 +69,7 @@ def test_growth_at_constant_elastic_stretch_goes_on_evenly():
 
 
 def homeostatic_stretch(normal):
-    """Stretch, the sides held at 1, at which the neo-Hookean Cauchy stress less a share of its normal one is 0.5 kPa."""
+    """Return the stretch, with fixed sides, at which the Cauchy stress minus a fraction of the normal stress is 0.5 kPa."""
 
     def excess(stretch):
         F = np.diag([stretch, 1.0, 1.0])

@@ -1,4 +1,4 @@
-"""Constrained mixtures against closed forms, the heredity integral summed in plain NumPy, and each other."""
+"""Constrained mixtures compared with closed forms, with the heredity integral in plain NumPy, and with each other."""
 
 from typing import Any, cast
 
@@ -11,13 +11,13 @@ from scipy.integrate import quad, solve_ivp
 from scipy.linalg import polar
 
 from cicatrix.core.errors import ConvergenceError, InputError
-from cicatrix.materials.cohorts import Exact, MergedCohorts, Recursive, SecondMoment, used_up
+from cicatrix.materials.cohorts import Exact, MergedCohorts, Recursive, SecondMoment, exceeded_slots
 from cicatrix.materials.constituent import Constituent
 from cicatrix.materials.homogenised import Homogenised
 from cicatrix.materials.material import EnergyMaterial
 from cicatrix.materials.mixture import ConstrainedMixture
 from cicatrix.materials.neo_hookean import NeoHookean
-from cicatrix.mechanics.march import Load, Moment, march
+from cicatrix.mechanics.body_integration import BodyState, Load, integrate
 
 pytestmark = pytest.mark.xdist_group("mixture")  # compiled once
 
@@ -58,7 +58,7 @@ def mixture(form, *constituents, **more):
 
 
 def advanced(mix, history, steps, state=None):
-    """State after a history of F [(3, 3)] in steps dt [s]."""
+    """Return the state after a history of F [(3, 3)] in steps dt [s]."""
     state = mix.initial_state(()) if state is None else state
     for F, dt in zip(history, steps, strict=True):
         state = ADVANCE(mix, jnp.asarray(F), state, dt)
@@ -70,7 +70,7 @@ def held(mix, F, *steps):
 
 
 def cauchy_11(mix, F, state):
-    """P F^T, F = uniaxial."""
+    """Return the component 11 of P F^T for uniaxial F."""
     return float((STRESS(mix, F, state) @ np.transpose(F))[0, 0])
 
 
@@ -89,7 +89,7 @@ def test_prestretch_gives_the_stress_of_deposition(form):
 
 
 def test_deposition_stretch_keeps_volume_and_stretches_along_its_direction():
-    """G a = g a; across, g^(-1/2): by hand for a at 0.4 rad in the plane, -0.3 rad out of it."""
+    """By hand, G a = g a and g^(-1/2) across, for a at 0.4 rad in the plane and -0.3 rad out of it."""
     a = np.array([np.cos(-0.3) * np.cos(0.4), np.cos(-0.3) * np.sin(0.4), np.sin(-0.3)])
     G = np.asarray(MATRIX.deposition_stretch())
     np.testing.assert_allclose(G @ a, 1.2 * a, rtol=1e-14)
@@ -99,7 +99,7 @@ def test_deposition_stretch_keeps_volume_and_stretches_along_its_direction():
 
 @pytest.mark.parametrize("steps", [[0.7] * 30, [3.0] * 7, [21.0], [1e-3, 5.0, 15.999]], ids=len)
 def test_stress_returns_to_that_of_deposition_at_the_rate_of_turnover(form, steps):
-    """Held at 1.2: tau = phi [e^(-t/T) tau(1.2 g) + (1 - e^(-t/T)) tau(g)], exact in any step."""
+    """At a constant stretch of 1.2: tau = phi [e^(-t/T) tau(1.2 g) + (1 - e^(-t/T)) tau(g)], exact for any step."""
     mix, F = mixture(form, Constituent(Fibre(2.0), 0.5, lifetime=T, prestretch=g)), uniaxial(1.2)
     left = np.exp(-sum(steps) / T)
     expected = 0.5 * (left * fibre_stress(1.2 * g) + (1 - left) * fibre_stress(g))
@@ -108,7 +108,7 @@ def test_stress_returns_to_that_of_deposition_at_the_rate_of_turnover(form, step
 
 
 def test_stretch_at_a_rate_is_of_first_order(form):
-    """x = 1 + 0.3 t/T up to t = T, by quadrature of e^-1 tau(x g) + int k e^(-k (T - t)) tau(g x(T)/x(t)) dt."""
+    """x = 1 + 0.3 t/T up to t = T, compared with quadrature of e^-1 tau(x g) + int k e^(-k (T - t)) tau(g x(T)/x(t)) dt."""
     mix = mixture(form, Constituent(Fibre(2.0), 1.0, lifetime=T, prestretch=g))
     late = quad(lambda t: np.exp(-(T - t) / T) / T * fibre_stress(g * 1.3 / (1 + 0.3 * t / T)), 0, T)[0]
     expected, errors = np.exp(-1) * fibre_stress(g * 1.3) + late, []
@@ -122,7 +122,7 @@ def test_stretch_at_a_rate_is_of_first_order(form):
 
 
 def test_elastin_is_never_replaced(form):
-    """Its energy stays that of the elastic law at F G: 0.2 * 1.5/2 * (I1(F G) - 3)."""
+    """The energy stays that of the elastic law at F G: 0.2 * 1.5/2 * (I1(F G) - 3)."""
     mix, F = mixture(form, ELASTIN), uniaxial(1.4)
     x = 1.4 * 1.05
     expected = 0.2 * 0.75 * (x * x + 2 / x - 3)
@@ -130,7 +130,7 @@ def test_elastin_is_never_replaced(form):
 
 
 def test_without_production_mass_decays(form):
-    """Slack fibres, 1 + 5 (sigma/sigma_h - 1) < 0: phi = phi_0 e^(-t/T) and stress with it; volume follows."""
+    """Slack fibres, 1 + 5 (sigma/sigma_h - 1) < 0: phi = phi_0 e^(-t/T) and stress in proportion; volume follows."""
     mix, F = mixture(form, Constituent(Fibre(2.0), 0.5, lifetime=T, prestretch=g, gain=5.0)), uniaxial(0.9)
     state = held(mix, F, 3.0, 4.0, 0.5)
     left = np.exp(-0.75)
@@ -150,7 +150,7 @@ def test_mass_after_a_step_of_production(form, steps):
 
 
 def test_overloaded_tissue_grows_and_comes_back(form):
-    """Held at 1.2: S = phi (sigma/sigma_h - 1) decays as e^(-t/T), phi' = (1 + K S/phi - phi)/T; solved by Runge-Kutta."""
+    """At a stretch of 1.2, S = phi (sigma/sigma_h - 1) decays as e^(-t/T), phi' = (1 + K S/phi - phi)/T; by Runge-Kutta."""
     mix, F = mixture(form, Constituent(Fibre(2.0), 1.0, lifetime=T, prestretch=g, gain=0.8)), uniaxial(1.2)
     excess = fibre_stress(1.2 * g) / fibre_stress(g) - 1
     truth = solve_ivp(
@@ -169,7 +169,7 @@ def test_overloaded_tissue_grows_and_comes_back(form):
 
 @pytest.mark.parametrize("steps", [[0.1, 3.0, 100.0, 1e6] * 4], ids=len)
 def test_homeostasis_stays_put(form, steps):
-    """At F = I production balances decay, and what is laid down is what was there: density and stress stay, to rounding."""
+    """At F = I production balances decay, and new material equals the old: density and stress are constant to round-off."""
     mix = mixture(form, FIBRE, MATRIX, ELASTIN, kappa=50.0)
     before, after = mix.initial_state(()), held(mix, I, *steps)
     np.testing.assert_allclose(mix.masses(after), [0.5, 0.3, 0.2], rtol=1e-14)
@@ -178,7 +178,7 @@ def test_homeostasis_stays_put(form, steps):
 
 
 def test_a_new_home_is_kept(form):
-    """After 80 lifetimes at another stretch all is laid down there: deposition stress, masses of the start, and they stay."""
+    """After 80 lifetimes at another stretch, all material was deposited there: deposition stress and initial masses, constant."""
     mix, F = mixture(form, FIBRE, MATRIX), uniaxial(1.15)
     state = held(mix, F, *[T] * 80)
     later = held(mix, F, *[T] * 80, 0.3, 1e5)
@@ -192,7 +192,7 @@ def test_a_new_home_is_kept(form):
 
 
 def heredity(constituent, history, steps):
-    """Cohorts (mass, N) of one constituent: what the law should remember, by loops and a bracketed search for production."""
+    """Return the cohorts (mass, N) of one constituent, by loops and a bracketed search for production."""
     law, G, a = constituent.law, np.asarray(constituent.deposition_stretch()), np.asarray(constituent.direction())
     dpsi = compiled(jax.grad(law.energy))
 
@@ -216,7 +216,7 @@ def heredity(constituent, history, steps):
 
 
 def of_cohorts(law, cohorts, F):
-    """Energy and P of cohorts."""
+    """Return energy and P of cohorts."""
     both = compiled(jax.value_and_grad(law.energy))
     each = [(m, N, *both(F @ N)) for m, N in cohorts]
     return sum(m * float(psi) for m, _, psi, _ in each), sum(m * np.asarray(P) @ N.T for m, N, _, P in each)
@@ -234,7 +234,7 @@ PROBE = np.array([[1.2, 0.1, 0.0], [-0.05, 0.9, 0.2], [0.0, 0.1, 1.1]])
     ids=["exact fibre", "exact matrix", "second moment", "a place for each"],
 )
 def test_history_without_loss(form, constituent):
-    """Three-dimensional walk with rotation, irregular steps, production by stress: all cohorts, or their second moment."""
+    """A 3-D deformation with rotation, irregular steps and stress-dependent production: all cohorts, or their second moment."""
     mix = mixture(form, constituent)
     cohorts = heredity(constituent, WALK, STEPS)
     state = advanced(mix, WALK, STEPS)
@@ -255,7 +255,7 @@ BREATHING = [uniaxial(1.1 + 0.1 * np.sin(1.3 * t) + 0.05 * np.sin(0.37 * t)) for
 
 
 def test_merged_cohorts_come_close():
-    """Two incommensurate waves of 10 and 5 % over six lifetimes, 300 steps: error of stress at the end, of order n^-2."""
+    """Two incommensurate waves of 10 and 5 % over six lifetimes in 300 steps: the final error of stress is of order n^-2."""
     exact = mixture(Exact(LONG + 1), FIBRE)
     step = [6 * T / LONG] * LONG
     truth = cauchy_11(exact, uniaxial(1.2), advanced(exact, BREATHING, step))
@@ -267,7 +267,7 @@ def test_merged_cohorts_come_close():
 
 
 def test_few_natural_states_are_kept_apart_for_ever():
-    """Forty steps among three stretches need four places: no loss, though 40 cohorts were laid down."""
+    """Forty steps among three stretches need four slots: no error, although 40 cohorts were deposited."""
     cycle = [uniaxial(x) for x in (1.1, 0.95, 1.25)] * 13
     steps = [1.7] * len(cycle)
     few, all_of_them = mixture(Recursive(5), FIBRE), mixture(Exact(90), FIBRE)
@@ -276,7 +276,7 @@ def test_few_natural_states_are_kept_apart_for_ever():
 
 
 def test_homogenised_is_exact_to_first_order():
-    """Two steps of size e, half a lifetime each: what is lost is of order e^2, so half the step loses a quarter."""
+    """Two steps of size e, half a lifetime each: the error is of order e^2, so half the step has a quarter of the error."""
     lost = []
     for e in (0.04, 0.02, 0.01):
         history, steps = [uniaxial(1 + e)] * 5 + [uniaxial(1 - e)] * 5, [1.0] * 10
@@ -294,7 +294,7 @@ Q *= np.sign(np.linalg.det(Q))
 
 
 def test_rotations_are_not_felt(form):
-    """The body turns once at the end, or differently in each step: F_i = Q F U^-1 G, so P turns with the last."""
+    """The body rotates once at the end, or differently in each step: F_i = Q F U^-1 G, so P rotates with the last rotation."""
     mix = mixture(form, FIBRE, MATRIX, ELASTIN)
     P = np.asarray(STRESS(mix, PROBE, advanced(mix, WALK, STEPS)))
     turns = [np.linalg.matrix_power(Q, k) for k in range(len(WALK))]
@@ -305,7 +305,7 @@ def test_rotations_are_not_felt(form):
 
 @pytest.fixture(params=FORMS)
 def worn(request):
-    """A mixture, its state after some history at three points, and the F of a step that follows."""
+    """Return a mixture, its state after some history at three points, and the F of the next step."""
     mix = mixture(FORMS[request.param], FIBRE, MATRIX, ELASTIN, kappa=20.0)
     state = mix.initial_state((3,))
     for k, dt in enumerate((3.0, 1.0, 6.0)):
@@ -338,7 +338,7 @@ def test_a_step_touches_neither_law_nor_state(worn):
 
 
 def test_points_do_not_know_of_each_other(form):
-    """Parameters one per point, a grid of points: each as alone."""
+    """With parameters per point and a grid of points, each point has the result that it has alone."""
     lives, gains, moduli = np.array([[5.0], [30.0]]), np.array([0.0, 0.5, 2.0]), np.array([1.0, 2.0, 3.0])
 
     def of(life, gain, mu):
@@ -354,7 +354,7 @@ def test_points_do_not_know_of_each_other(form):
 
 
 def test_stress_can_be_differentiated_by_parameters(form):
-    """Reverse mode through two steps against central differences."""
+    """Reverse-mode derivatives through two steps agree with central differences."""
 
     def stress(x, advance=ConstrainedMixture.advance, at=ConstrainedMixture.stress):
         mix = mixture(form, Constituent(Fibre(2.0), 0.5, lifetime=x[0], prestretch=x[1], gain=x[2]))
@@ -368,7 +368,7 @@ def test_stress_can_be_differentiated_by_parameters(form):
 
 
 def test_a_step_may_be_long(form):
-    """A million lifetimes in one step: all is new, at deposition stress, however large the gain."""
+    """In one step of a million lifetimes all material is replaced, at the deposition stretch, for any gain."""
     mix, F = mixture(form, Constituent(Fibre(2.0), 0.5, lifetime=T, prestretch=g, gain=50.0)), uniaxial(1.5)
     state = held(mix, F, 1e6 * T)
     assert float(mix.masses(state)[0]) == pytest.approx(0.5, rel=1e-12)
@@ -386,7 +386,7 @@ def test_a_step_without_time_changes_nothing(form):
 
 
 def test_volume_follows_mass(form):
-    """Doubled production for two lifetimes: v = 1 + phi_0 K (1 - e^-2); F_g = v^(1/3) I bears no pressure of kappa."""
+    """Production doubled for two lifetimes: v = 1 + phi_0 K (1 - e^-2); F_g = v^(1/3) I has no pressure from kappa."""
     half = 0.5 * fibre_stress(g)
     grows = Constituent(Fibre(2.0), 0.5, lifetime=T, prestretch=g, gain=1.0, homeostatic_stress=half)
     soft, stiff = (mixture(form, grows, kappa=kappa) for kappa in (0.0, 100.0))
@@ -414,19 +414,19 @@ def test_a_full_history_says_so():
         mix.advance(I, state, 1.0)
     after = compiled(mix.advance)(I, state, 1.0)
     assert np.isnan(mix.masses(after)[0])
-    assert (used_up(state), used_up(state, 1), used_up(after)) == (0, 3, 3)
-    assert used_up((mixture(Recursive(2), FIBRE).initial_state(()), ()), 1) == 0
-    assert used_up(mixture(Homogenised(), FIBRE).initial_state(()), 1) == 0
+    assert (exceeded_slots(state), exceeded_slots(state, 1), exceeded_slots(after)) == (0, 3, 3)
+    assert exceeded_slots((mixture(Recursive(2), FIBRE).initial_state(()), ()), 1) == 0
+    assert exceeded_slots(mixture(Homogenised(), FIBRE).initial_state(()), 1) == 0
 
 
 def test_a_body_with_a_full_history_does_not_go_on():
-    start = Moment(0.0, np.zeros((1, 3)), held(mixture(Exact(3), FIBRE), I, 1.0, 1.0))
-    with pytest.raises(ConvergenceError, match=r"form\.cohorts = 3 of the exact form is used up"):
-        next(march(cast(Any, None), start.x, [Load(1.0, np.zeros(3))], start, cast(Any, None)))
+    start = BodyState(0.0, np.zeros((1, 3)), held(mixture(Exact(3), FIBRE), I, 1.0, 1.0))
+    with pytest.raises(ConvergenceError, match=r"form\.cohorts = 3 is too small for the exact form"):
+        next(integrate(cast(Any, None), start.x, [Load(1.0, np.zeros(3))], start, cast(Any, None)))
 
 
 class WithHistory(Fibre):
-    """A law that remembers."""
+    """Law with a history."""
 
     def initial_state(self, shape):
         return jnp.ones(shape)

@@ -10,7 +10,7 @@ CELL = Moreo(K_pass=2.0, K_act=10.0, p_max=3.0, theta_1=0.1, theta_2=0.7)
 
 
 def printed(theta):
-    """As printed, branch by branch; theta* = 3 / 10."""
+    """Return Eq. (19) as printed, branch by branch; theta* = 3 / 10."""
     if not 0.1 < theta < 0.7:
         return 2.0 * theta
     end = 0.1 if theta <= 0.3 else 0.7
@@ -23,7 +23,7 @@ def test_as_printed(theta):
 
 
 def test_most_at_the_peak():
-    """p_max + K_pass theta*."""
+    """The maximum is p_max + K_pass theta*."""
     assert float(CELL.signal(0.3)) == pytest.approx(3.0 + 0.6)
     np.testing.assert_allclose(CELL.signal(np.array([0.1, 0.7])), [0.2, 1.4], atol=1e-15)
 

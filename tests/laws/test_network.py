@@ -1,4 +1,4 @@
-"""Signalling networks: normalised Hill functions, gates and rules, all against numbers by hand."""
+"""Signalling networks: normalised Hill functions, gates and rules, all compared with numbers by hand."""
 
 import equinox as eqx
 import jax
@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from cicatrix.biology.network import HillNetwork
-from cicatrix.biology.rules import Factor, parse_rule
+from cicatrix.biology.rules import RuleFactor, parse_rule
 from cicatrix.biology.wiring import Wiring
 from cicatrix.core.errors import InputError
 
 
 def network(*rules, species="ABCD", tau=3600.0, **changed):
-    """Species A to D; weight 1, n 1.4, EC50 0.6 unless ``changed`` says otherwise, of one reaction as of all."""
+    """Return a network of species A to D, with weight 1, n 1.4 and EC50 0.6 everywhere unless ``changed`` says otherwise."""
     m = len(rules)
     wiring = Wiring(tuple(species), tuple(f"r{i}" for i in range(m)), tuple(map(parse_rule, rules)))
     given = {"weight": 1.0, "n": 1.4, "ec50": 0.6, "y_max": 1.0} | changed
@@ -25,13 +25,13 @@ def network(*rules, species="ABCD", tau=3600.0, **changed):
 
 
 def driven(law, inputs=None, **y):
-    """F of every species."""
+    """Return F of every species."""
     state = np.array([y.get(name, 0.0) for name in law.species])
     return dict(zip(law.species, np.asarray(law.activation(state, inputs))))
 
 
 def printed(x, w, n, ec50):
-    """Act as the paper prints it, with its quotients."""
+    """Return the normalised Hill function as printed, with its quotients."""
     B = (ec50**n - 1.0) / (2.0 * ec50**n - 1.0)
     return w * B * x**n / (B - 1.0 + x**n)
 
@@ -57,7 +57,7 @@ def test_gates_by_hand():
 
 @pytest.mark.parametrize("w", [0.0, 0.3, 1.0])
 def test_weights_of_gates(w):
-    """AND is a product over w^(m-1): 0.3 of it all for plain factors; of NOT 1 - act or, in Netflux, w - act."""
+    """AND is a product over w^(m-1), here 0.3; NOT is 1 - act or, in Netflux, w - act."""
     a, b = printed(0.3, 1.0, 1.4, 0.6), printed(0.8, 1.0, 1.4, 0.6)
     assert driven(network("A & B => C", weight=w), A=0.3, B=0.8)["C"] == pytest.approx(w * a * b)
     assert driven(network("A & !B => C", weight=w), A=0.3, B=0.8)["C"] == pytest.approx(a * (1.0 - w * b))
@@ -128,7 +128,7 @@ def test_negative_activities_count_as_0():
 
 def test_rules_are_read():
     rule = parse_rule(" TGFB &!smad7=> smad3 ")
-    assert rule.factors == (Factor("TGFB", False), Factor("smad7", True))
+    assert rule.factors == (RuleFactor("TGFB", False), RuleFactor("smad7", True))
     assert (rule.target, rule.is_input, str(rule)) == ("smad3", False, "TGFB & !smad7 => smad3")
     assert parse_rule("=> TGFB").is_input
 
@@ -157,7 +157,7 @@ def test_a_rule_that_does_not_parse_says_where(text):
 FAULTS = {
     "unknown": (["AA => B"], {}, 'reaction "r0" names the unknown species "AA"; did you mean "A"?'),
     "far": (["xyz => B"], {}, 'reaction "r0" names the unknown species "xyz"; known: A, B, C, D'),
-    "two inputs": (["=> A", "=> A"], {}, 'input "A" stands twice'),
+    "two inputs": (["=> A", "=> A"], {}, 'input "A" is listed twice'),
     "ec50": (
         ["A => B"],
         {"ec50": 0.7},

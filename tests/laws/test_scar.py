@@ -1,4 +1,4 @@
-"""Tissue that heals, at an instant, against stresses written out by hand."""
+"""Stress and local rates of healing tissue, compared with stresses by hand."""
 
 import jax
 import numpy as np
@@ -6,9 +6,9 @@ import pytest
 from quick import compiled
 
 from cicatrix.biology.sensing import Sensing
-from cicatrix.biology.signals import LogisticSignal, Unfelt
+from cicatrix.biology.signals import LogisticSignal, NoMechanosensing
 from cicatrix.biology.turnover import Turnover
-from cicatrix.healing.scarring import Contracture, Local, Reorientation, Scarring, tidied
+from cicatrix.healing.scarring import Contracture, Local, Reorientation, Scarring, orthonormalised
 from cicatrix.materials.scar import Scar
 
 RNG = np.random.default_rng(3)
@@ -20,7 +20,7 @@ def structure(kappa, a, d):
 
 
 def sheet(F, phi=0.7, lam=(0.9, 1.05), kappa=0.3, tension=4.0):
-    """Cauchy stress of an incompressible sheet, by hand: pushed forward, with the pressure that frees its normal."""
+    """Return the Cauchy stress of an incompressible sheet by hand, with the pressure for zero normal stress."""
     a, s = np.array([0.8, 0.6, 0.0]), np.array([-0.6, 0.8, 0.0])
     F_p = lam[0] * np.outer(a, a) + lam[1] * np.outer(s, s) + np.outer([0, 0, 1], [0, 0, 1])
     A_0 = structure(kappa, a, 2)
@@ -39,7 +39,7 @@ def sheet(F, phi=0.7, lam=(0.9, 1.05), kappa=0.3, tension=4.0):
 
 @pytest.mark.parametrize("stretch", [1.3, 0.8])
 def test_a_sheet_is_the_stress_by_hand(stretch):
-    """With and without stretched fibres, at a permanent deformation; J_e = 1, so J = det F_p."""
+    """With and without stretched fibres, with a permanent deformation; J_e = 1, so J = det F_p."""
     given = np.array([[stretch, 0.2, 0.0], [-0.1, 0.95, 0.0], [0.0, 0.0, 1.0]])
     law, sigma, F = sheet(given)
     P = np.asarray(compiled(Scar.stress)(law, given))
@@ -99,7 +99,7 @@ def local(d, a=(1.0, 0.0, 0.0), phi=0.3, kappa=None):
 
 
 def advanced(law, F, rho, c, start, dt):
-    return jax.tree.map(np.asarray, compiled(Scarring.advanced)(law, F, rho, c, start, start, dt))
+    return jax.tree.map(np.asarray, compiled(Scarring.step)(law, F, rho, c, start, start, dt))
 
 
 def test_a_local_step_is_implicit_euler_of_the_rates_by_hand():
@@ -128,9 +128,9 @@ def test_within_the_band_nothing_yields():
 
 @pytest.mark.parametrize("is_sheet", [True, False])
 def test_fibres_turn_to_the_largest_stretch_at_the_rate_said(is_sheet):
-    """tan of the angle halves at rate 2 pi phi+ lambda / tau cos: a small step against the formula, many to the end."""
+    """One small step: rate 2 pi phi+ lambda_max sin(angle) / tau_omega, orthonormal axes, and the rate of dispersion."""
     d = 2 if is_sheet else 3
-    law = scarring(Reorientation(10.0, 1.0), is_sheet, Unfelt())
+    law = scarring(Reorientation(10.0, 1.0), is_sheet, NoMechanosensing())
     F = np.diag([1.3, 1.0, 1.0 if is_sheet else 0.9])
     angle, dt = 0.7, 1e-3
     start = local(d, (np.cos(angle), np.sin(angle), 0.0), kappa=0.1)
@@ -140,11 +140,11 @@ def test_fibres_turn_to_the_largest_stretch_at_the_rate_said(is_sheet):
     assert (angle - turned) / dt == pytest.approx(2 * np.pi * made / 10.0 * 1.3 * np.sin(angle), rel=1e-4)
     np.testing.assert_allclose(end.axes @ end.axes.T, np.eye(3), atol=1e-12)
     gathered = made / 1.0 * ((1.0 / 1.3) ** 5 / d - 0.1)
-    assert (end.spread - 0.1) / dt == pytest.approx(gathered, rel=1e-4)
+    assert (end.dispersion - 0.1) / dt == pytest.approx(gathered, rel=1e-4)
 
 
 def test_equal_stretches_turn_nothing():
-    law = scarring(Reorientation(1.0, 1.0), True, Unfelt())
+    law = scarring(Reorientation(1.0, 1.0), True, NoMechanosensing())
     start = local(2, (0.6, 0.8, 0.0))
     end = advanced(law, np.diag([1.2, 1.2, 1.0]), 1.0, 0.0, start, 50.0)
     np.testing.assert_array_equal(end.axes, start.axes)
@@ -152,5 +152,5 @@ def test_equal_stretches_turn_nothing():
 
 def test_a_mixture_of_states_has_orthonormal_axes():
     has = local(3, (0.6, 0.8, 0.0))
-    mixed = tidied(has._replace(axes=has.axes + 0.1 * RNG.standard_normal((3, 3))))
+    mixed = orthonormalised(has._replace(axes=has.axes + 0.1 * RNG.standard_normal((3, 3))))
     np.testing.assert_allclose(mixed.axes @ np.swapaxes(mixed.axes, -1, -2), np.eye(3), atol=1e-12)

@@ -1,4 +1,4 @@
-"""Maxwell branches of isotropic laws, against small strain and against the same equations by another integrator."""
+"""Maxwell branches of isotropic laws, compared with small-strain theory and with another integrator."""
 
 import numpy as np
 import pytest
@@ -17,8 +17,8 @@ lost = compiled(lambda law, F, before, after, dt: law.dissipated(F, before, afte
 PRONY = Viscoelastic(NeoHookean(2.0, 50.0), (0.5, 0.25), (1.0, 10.0))
 
 
-def led(law, shapes, dt):
-    """Cauchy stress after the last of equal steps, and the history."""
+def integrated(law, shapes, dt):
+    """Return the Cauchy stress after the last of equal steps, and the state."""
     state = law.initial_state(())
     for F in shapes:
         answer = step(law, F, state, dt)
@@ -31,14 +31,14 @@ def test_small_shear_relaxes_by_the_prony_series():
     """sigma_xy / gamma = mu (1 + sum beta_i / (1 + dt / t_i)^n): backward Euler of each branch, by hand."""
     F = np.eye(3) + 1e-6 * np.outer([1, 0, 0], [0, 1, 0])
     for n in (1, 4):
-        sigma, _ = led(PRONY, [F] * n, 0.5)
+        sigma, _ = integrated(PRONY, [F] * n, 0.5)
         expected = 2.0 * (1 + 0.5 / 1.5**n + 0.25 / 1.05**n)
         assert sigma[0, 1] / 1e-6 == pytest.approx(expected, rel=1e-5)
 
 
 def test_long_steps_leave_the_law_alone():
     F = np.array([[1.4, 0.3, 0.0], [0.0, 0.8, 0.1], [0.0, 0.0, 0.9]])
-    sigma, state = led(PRONY, [F], 1e12)
+    sigma, state = integrated(PRONY, [F], 1e12)
     P = np.asarray(PRONY.law.stress(F))
     np.testing.assert_allclose(sigma, P @ F.T / np.linalg.det(F), atol=1e-9)
     np.testing.assert_allclose(np.linalg.det(np.asarray(state)), 1.0, rtol=1e-12)
@@ -46,7 +46,7 @@ def test_long_steps_leave_the_law_alone():
 
 @pytest.mark.slow
 def test_large_stretch_against_another_integrator():
-    """Pulled to 2 at constant volume in 3 s, t_r = 1 s: logarithmic strains along fixed axes, by LSODA to 1e-10."""
+    """Stretched to 2 at constant volume in 3 s, t_r = 1 s: logarithmic strains along fixed axes, by LSODA to 1e-10."""
     law, alpha = Ogden(2.0, 5.0, 50.0), 5.0
     rate = np.log(2.0) / 3.0 * np.array([1.0, -0.5, -0.5])
 
@@ -63,7 +63,7 @@ def test_large_stretch_against_another_integrator():
     errors = []
     for n in (20, 40, 80):
         shapes = [np.diag(np.exp(total * k / n)) for k in range(1, n + 1)]
-        sigma, _ = led(Viscoelastic(law, (1.0,), (1.0,)), shapes, 3 / n)
+        sigma, _ = integrated(Viscoelastic(law, (1.0,), (1.0,)), shapes, 3 / n)
         errors.append(np.abs(np.diag(sigma) - sigma.trace() / 3 - exact).max())
     assert errors[2] < 0.02 * np.abs(exact).max()
     assert errors[0] / errors[1] == pytest.approx(2.0, abs=0.2)
@@ -71,7 +71,7 @@ def test_large_stretch_against_another_integrator():
 
 
 def test_heat_is_what_the_branches_stored():
-    """Held in shear: mu/2 gamma^2 (beta_1 + beta_2) of the neo-Hookean springs ends as heat, to first order in the step."""
+    """Held in shear, mu/2 gamma^2 (beta_1 + beta_2) of the neo-Hookean springs is dissipated, to first order in the step."""
     F, state, heat = np.eye(3) + 0.5 * np.outer([1, 0, 0], [0, 1, 0]), PRONY.initial_state(()), 0.0
     state = step(PRONY, F, state, 0.0).state
     for dt in np.geomspace(0.005, 2.0, 120):

@@ -1,4 +1,4 @@
-"""Anderson's mixing against plain iteration, and on linear maps, where it is a Krylov method."""
+"""Anderson acceleration compared with plain iteration, and on linear maps, where it is a Krylov method."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from cicatrix.numerics.anderson import Anderson
 
 
 def test_a_linear_map_of_three_rates_is_done_in_five_steps():
-    """GMRES finds the fixed point of a map with three eigenvalues in three steps; the first and the last only look."""
+    """GMRES finds the fixed point of a map with three eigenvalues in three steps; two more steps only evaluate the map."""
     rng = np.random.default_rng(0)
     Q, _ = np.linalg.qr(rng.standard_normal((12, 12)))
     A, b = Q @ np.diag([0.9, 0.5, -0.4] * 4) @ Q.T, rng.standard_normal(12)

@@ -1,4 +1,4 @@
-"""Backward differences over steps of any length: exact for parabolas, of second order, and their error told."""
+"""Backward differences with variable steps: exact for parabolas, second order, with an error estimate."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from cicatrix.numerics.bdf import LONGEST_RISE, formula, next_step
 
 
 def test_equal_steps_are_the_textbook():
-    """4/3, -1/3, 2/3; the error is 2/11 of the distance to the extrapolated parabola."""
+    """The coefficients are 4/3 and -1/3, with 2/3; the error is 2/11 of the distance to the extrapolated parabola."""
     used = formula(0.5, [0.0, 0.5, 1.0])
     np.testing.assert_allclose(used.start, [4 / 3, -1 / 3], rtol=1e-14)
     assert used.share == pytest.approx(2 / 3, rel=1e-14)
@@ -40,7 +40,7 @@ def test_a_damped_step_is_implicit_euler_and_tells_its_error_of_a_parabola():
 
 
 def test_second_order_over_uneven_steps():
-    """y' = -y^2; halving all steps divides the error by four."""
+    """For y' = -y^2, halving all steps divides the error by four."""
 
     def error(n):
         t = np.concatenate([[0.0], np.cumsum(np.tile([1.0, 1.7, 0.8], n))])

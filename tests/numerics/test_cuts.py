@@ -1,4 +1,4 @@
-"""A plane through tetrahedra: areas and places by hand."""
+"""A plane through tetrahedra: areas and positions by hand."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from cicatrix.geometry.cuts import plane_cut
 
 
 def areas(polygons):
-    """Of plane quadrangles (k, 4, 3), by their diagonals."""
+    """Return the areas of plane quadrangles (k, 4, 3) from their diagonals."""
     diagonals = polygons[:, 2] - polygons[:, 0], polygons[:, 3] - polygons[:, 1]
     return 0.5 * np.linalg.norm(np.cross(*diagonals), axis=1)
 

@@ -1,4 +1,4 @@
-"""Root lattices A2 and A3: metric, neighbours, positions there and back."""
+"""Root lattices A2 and A3: metric, neighbours, and conversion between indices and positions."""
 
 import numpy as np
 import pytest

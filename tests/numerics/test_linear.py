@@ -1,4 +1,4 @@
-"""Linear solves against dense ones: every kind of matrix, a factor that is kept, and what makes it give way."""
+"""Linear solves compared with dense ones: every kind of matrix, reuse of a factor, and when it is replaced."""
 
 from functools import partial
 
@@ -26,7 +26,7 @@ def library(request, monkeypatch):
 
 
 def matrix_of(b, shift=0.0, skew=0.0, seed=0):
-    """Chain of springs between near nodes, its blocks random: symmetric positive definite for shift = skew = 0."""
+    """Return a chain of springs between near nodes with random blocks: symmetric positive definite for shift = skew = 0."""
     rng = np.random.default_rng(seed)
     elements = np.arange(N_NODES - 3)[:, None] + np.arange(4)
     A = rng.standard_normal((len(elements), 12, 12))
@@ -43,7 +43,7 @@ def right_side(matrix):
 
 @pytest.mark.parametrize("b", [2, 3])
 def test_pattern_sums_what_a_dense_loop_sums(b):
-    """Entries of three elements that share nodes, one node left out, a diagonal added: by a plain loop."""
+    """Entries of three elements with common nodes, one node left out and a diagonal added agree with a plain loop."""
     elements, nodes = np.array([[0, 1, 2], [2, 3, 1], [4, 0, 3]]), np.array([0, 1, 3, 4])
     matrices = np.random.default_rng(1).standard_normal((3, 9, 9))
     pattern = Pattern([elements, elements[:0]], nodes, 5, b)
@@ -61,7 +61,7 @@ def test_pattern_sums_what_a_dense_loop_sums(b):
 
 
 @pytest.mark.parametrize("b", [2, 3])
-def test_compiled_scatter_is_its_twin(b):
+def test_compiled_scatter_is_its_reference(b):
     rng = np.random.default_rng(2)
     slots = rng.integers(-1, 50, (30, 6, 6)).astype(np.int32)
     matrices = rng.standard_normal((30, 18, 18))
@@ -73,8 +73,8 @@ def test_compiled_scatter_is_its_twin(b):
 
 
 @pytest.mark.parametrize(("a", "d", "b"), [(10, 3, 3), (7, 2, 3), (7, 2, 2)])
-def test_compiled_contraction_is_its_twin(a, d, b):
-    """Tetrahedra and triangles, against the clear version, which is tested against derivatives of the forces."""
+def test_compiled_contraction_is_its_reference(a, d, b):
+    """Compare with the reference version, for tetrahedra and triangles; that is tested against derivatives of the forces."""
     rng = np.random.default_rng(3)
     slots = rng.integers(-1, 40, (9, a, a)).astype(np.int32)
     slopes, A = rng.standard_normal((9, 4, a, d)), rng.standard_normal((9, 4, 3, d, 3, d))
@@ -87,7 +87,7 @@ def test_compiled_contraction_is_its_twin(a, d, b):
 
 @pytest.mark.parametrize("b", [1, 2, 3])
 def test_blocks_are_multiplied_from_both_sides(b):
-    """Kernel and twin against dense matrices, R K L with block-diagonal R and L."""
+    """Compiled and NumPy versions of R K L agree with dense matrices, for block-diagonal R and L."""
     rng = np.random.default_rng(4)
     matrix = sp.random_array((12, 12), density=0.3, rng=rng).tocsr()
     data = rng.standard_normal((matrix.nnz, b, b))
@@ -113,14 +113,16 @@ def test_solution_is_that_of_a_dense_solver(library, b, shift, skew):
     rhs, solver = right_side(matrix), LinearSolver()
     x = solver.solve(matrix, rhs, 1e-12, (lambda: matrix_of(b)) if skew else None)
     np.testing.assert_allclose(x, np.linalg.solve(matrix.toarray(), rhs), rtol=0, atol=1e-9 * np.abs(x).max())
-    # a factor in single precision is not linear and GMRES may need a restart; that of the symmetric part is another matrix's
-    assert solver.n_steps <= (6 if shift == skew == 0.0 else 30)
-    if skew == 0.0 and (library == "mkl" or shift == 0.0):  # SuperLU of an indefinite matrix tells nothing of signs
+    # with a single-precision factor GMRES may need a restart; the factor of the symmetric part is that of another matrix
+    assert solver.n_steps <= (8 if shift == skew == 0.0 else 30)
+    if skew == 0.0 and (
+        library == "mkl" or shift == 0.0
+    ):  # SuperLU gives no signs of eigenvalues for an indefinite matrix
         assert solver.is_definite(matrix) == (shift == 0.0)
 
 
 def test_a_factor_is_kept_for_matrices_that_are_near(library):
-    """A change of 2 percent costs no factorisation, and the answer is that of the new matrix to its tolerance."""
+    """After a change of 2 percent no factorisation is needed, and the new system is solved to its tolerance."""
     matrix, solver = matrix_of(3), LinearSolver()
     rhs = right_side(matrix)
     solver.solve(matrix, rhs, 1e-10)
@@ -134,7 +136,7 @@ def test_a_factor_is_kept_for_matrices_that_are_near(library):
 
 
 def test_negative_curvature_makes_a_factor_give_way(library):
-    """With the factor of a definite matrix, one that is not is noticed, in the solve and by the search alone."""
+    """With the factor of a definite matrix, an indefinite one is detected, both in a solve and by the search for curvature."""
     matrix, other = matrix_of(3), matrix_of(3, shift=30.0)
     solver, rhs = LinearSolver(), right_side(matrix_of(3))
     solver.solve(matrix, rhs, 1e-10)
@@ -147,7 +149,7 @@ def test_negative_curvature_makes_a_factor_give_way(library):
 
 @pytest.mark.skipif(factors.MKL is None, reason="SuperLU counts no signs")
 def test_signs_are_those_of_the_matrix_that_is_asked_about():
-    """The factor that is kept is another's: barely indefinite, then barely definite, and back."""
+    """The reused factor belongs to another matrix: barely indefinite, then barely definite, and back."""
     lowest = np.linalg.eigvalsh(matrix_of(3).toarray())[0]
     indefinite, definite = matrix_of(3, lowest + 0.05), matrix_of(3, lowest - 0.05)
     solver, rhs = LinearSolver(), right_side(definite)
@@ -156,7 +158,7 @@ def test_signs_are_those_of_the_matrix_that_is_asked_about():
 
 
 def test_multigrid_solves_what_is_too_large_for_superlu(monkeypatch):
-    """A chain long enough that aggregation makes three levels; the same bits twice, whatever the global generator has done."""
+    """A chain that gives three levels of aggregation; the result does not depend on the global random generator."""
     monkeypatch.setenv("CICATRIX_LINEAR_SOLVER", "pyamg")
     elements = np.arange(3000)[:, None] + np.arange(4)
     A = np.random.default_rng(0).standard_normal((len(elements), 12, 12))
@@ -175,7 +177,7 @@ def test_multigrid_solves_what_is_too_large_for_superlu(monkeypatch):
 
 
 def test_conjugate_gradients_end_in_as_many_steps_as_there_are_eigenvalues():
-    """Three distinct eigenvalues: three steps (theory)."""
+    """Three distinct eigenvalues need three iterations (theory)."""
     d = np.repeat([1.0, 3.0, 10.0], 20)
     matrix = sp.bsr_array(np.diag(d))
     x, steps = conjugate_gradients(matrix, np.ones(60), lambda r: r.copy(), 1e-12, 10)
@@ -185,16 +187,16 @@ def test_conjugate_gradients_end_in_as_many_steps_as_there_are_eigenvalues():
 
 @pytest.mark.parametrize("method", [conjugate_gradients, gmres])
 def test_a_crawling_solve_is_given_up(method):
-    """A spectrum over six decades without a preconditioner: hardly a digit in any step."""
+    """A spectrum over six decades without preconditioner gains hardly a digit per iteration."""
     matrix = sp.bsr_array(np.diag(np.geomspace(1.0, 1e6, 300)))
     solve = partial(method, matrix, np.ones(300), lambda r: r.copy(), 1e-6)
-    assert solve(240, slowest=10.0) == (None, linear.FEW)
+    assert solve(240, slowest=10.0) == (None, linear.MIN_JUDGED_ITERATIONS)
     patient, steps = solve(240)
     assert patient is not None or steps >= 240
 
 
 def test_a_factor_that_crawls_gives_way_to_another():
-    """As after surgery: the next matrix is of another kind altogether."""
+    """As after surgery, the next matrix is very different."""
     solver, rhs = LinearSolver(), np.ones(300)
     solver.solve(sp.bsr_array(np.eye(300)), rhs, 1e-8)
     matrix = sp.bsr_array(np.diag(np.geomspace(1.0, 1e6, 300)))
@@ -222,11 +224,14 @@ def test_a_matrix_that_cannot_be_factorised_is_refused(library, fault):
         LinearSolver().solve(matrix, right_side(matrix), 1e-8)
 
 
-@pytest.mark.parametrize("shift", [0.0, 30.0])
-def test_a_restored_solver_goes_on_to_the_same_bits(library, shift):
-    matrix, near = matrix_of(3, shift), matrix_of(3, shift + 0.01)
+@pytest.mark.parametrize(
+    ("shift", "skew"), [(0.0, 0.0), (30.0, 0.0), (0.0, 0.3)], ids=["definite", "indefinite", "general"]
+)
+def test_a_restored_solver_goes_on_to_the_same_bits(library, shift, skew):
+    matrix, near = matrix_of(3, shift, skew), matrix_of(3, shift + 0.01, skew)
+    symmetric = (lambda: matrix_of(3)) if skew else None
     one, other, rhs = LinearSolver(), LinearSolver(), right_side(matrix_of(3))
-    one.solve(matrix, rhs, 1e-10)
-    other.restore(matrix, {name: array.copy() for name, array in one.kept().items()})
-    assert (one.solve(near, rhs, 1e-10) == other.solve(near, rhs, 1e-10)).all()
+    one.solve(matrix, rhs, 1e-10, symmetric)
+    other.restore(matrix, {name: array.copy() for name, array in one.state_arrays().items()})
+    assert (one.solve(near, rhs, 1e-10, symmetric) == other.solve(near, rhs, 1e-10, symmetric)).all()
     assert other.n_factorizations == 0

@@ -1,4 +1,4 @@
-"""Meshing a body: closed-form volumes, a conforming cavity, markers, the same bytes twice, the gate, refusals."""
+"""Meshing a body: closed-form volumes, a conforming cavity, markers, reproducible bytes, the quality check, refusals."""
 
 import os
 from dataclasses import replace
@@ -27,7 +27,7 @@ HALF_AXES = np.array([18.0, 22.0, 15.0])
 
 
 def grid(low, high, spacing):
-    """Voxel centres (nz, ny, nx, 3) and an empty volume there."""
+    """Return voxel centres (nz, ny, nx, 3) and an empty volume."""
     low, spacing = np.asarray(low, float), np.asarray(spacing, float)
     n = np.round((np.asarray(high) - low) / spacing).astype(int) + 1
     volume = Volume(np.zeros(n[::-1], np.uint8), tuple(spacing.tolist()), tuple(low.tolist()))
@@ -35,14 +35,14 @@ def grid(low, high, spacing):
 
 
 def ball_labels(spacing=(1.0, 1.0, 1.0), radius=RADIUS):
-    """A ball of fat that lies on chest from 8 mm behind its centre."""
+    """Return labels of a ball of fat on a chest that starts 8 mm behind its centre."""
     x, volume = grid([-20, -22, -20], [21, 21, 21], spacing)
     fat = np.linalg.norm(x - CENTRE, axis=-1) < radius
     return volume.with_values(np.where(fat, Label.FAT, np.where(x[..., 1] > 6.0, Label.CHEST, Label.AIR)))
 
 
 def half_ellipsoid_labels():
-    """Half of an ellipsoid (y < 0) that the image cuts at y = 0."""
+    """Return labels of half an ellipsoid (y < 0) that the image cuts off at y = 0."""
     x, volume = grid([-22, -25.5, -19], [22, -0.5, 19], [1.0, 1.0, 1.0])
     return volume.with_values(np.where(np.sum((x / HALF_AXES) ** 2, axis=-1) < 1, Label.FAT, Label.AIR))
 
@@ -66,7 +66,7 @@ def area(mesh, marker):
 
 
 def test_lattice_fills_its_box():
-    """Twelve tetrahedra a cube (each face's four are shared by two cubes; outer faces have two); angles of 45 to 120 degrees."""
+    """Twelve tetrahedra per cube (the four of each common face are shared, outer faces have two), angles 45 to 120 degrees."""
     points, tetrahedra = bcc_lattice(np.zeros(3), np.array([4.0, 6.0, 2.0]), 2.0)
     size = volumes(points, tetrahedra)
     assert size.sum() == pytest.approx(48.0, rel=1e-14)
@@ -80,7 +80,7 @@ def test_lattice_fills_its_box():
 
 
 def test_surface_lies_between_voxels():
-    """Of a ball of 16.2 mm in voxels of 1 mm: within 0.5 mm everywhere, 0.1 mm on average; distance and sign far from it too."""
+    """A ball of 16.2 mm in voxels of 1 mm: within 0.5 mm everywhere, 0.1 mm on average; distance and sign also far away."""
     surface = isosurface(segmented_body(ball_labels()).share, 0.8)
     off = np.linalg.norm(surface.points - CENTRE, axis=1) - RADIUS
     assert np.abs(off).max() < 0.5
@@ -91,7 +91,7 @@ def test_surface_lies_between_voxels():
 
 
 def test_ball_has_its_volume_and_surface(ball):
-    """4/3 pi r^3 within 1 %, each skin node within half a voxel of the sphere."""
+    """The volume is 4/3 pi r^3 within 1 %, and each skin node is within half a voxel of the sphere."""
     assert volumes(ball.nodes, ball.tetrahedra).sum() == pytest.approx(4 / 3 * np.pi * RADIUS**3, rel=0.01)
     outer = np.unique(ball.faces)
     assert np.abs(np.linalg.norm(ball.nodes[outer] - CENTRE, axis=1) - RADIUS).max() < 0.5
@@ -100,7 +100,7 @@ def test_ball_has_its_volume_and_surface(ball):
 
 
 def test_cavity_lies_on_faces(ball):
-    """No element crosses the sphere; the cavity's volume is 4/3 pi 5^3 within 1 %."""
+    """No element crosses the sphere, and the volume of the cavity is 4/3 pi 5^3 within 1 %."""
     inside = ball.region == Region.CAVITY
     corners = cavity(ball.nodes)[ball.tetrahedra]
     assert corners[inside].max() < 0.15
@@ -115,19 +115,19 @@ def test_cavity_lies_on_faces(ball):
 
 
 def test_chest_wall_is_marked(ball):
-    """The part of the sphere with y > 6.5 mm (between the last voxel of air and the first of chest): 2 pi r h."""
+    """The chest wall is the part of the sphere with y > 6.5 mm (between last voxel of air and first of chest): 2 pi r h."""
     assert area(ball, Border.WALL) == pytest.approx(2 * np.pi * RADIUS * (RADIUS - (6.5 - CENTRE[1])), rel=0.1)
-    assert ball.nodes[ball.held_nodes, 1].min() > 3.0
+    assert ball.nodes[ball.constrained_nodes, 1].min() > 3.0
     assert not (ball.marker == Border.CUT).any()
 
 
 def test_half_ellipsoid_ends_flat_where_the_image_ends(half_ellipsoid):
-    """Volume 2/3 pi abc; the cut is the plane y = 0, of area pi ac, to rounding."""
+    """The volume is 2/3 pi abc; the cut is the plane y = 0 with area pi ac."""
     a, b, c = HALF_AXES
     mesh = half_ellipsoid
     assert volumes(mesh.nodes, mesh.tetrahedra).sum() == pytest.approx(2 / 3 * np.pi * a * b * c, rel=0.01)
     assert area(mesh, Border.CUT) == pytest.approx(np.pi * a * c, rel=0.02)  # of 20 sides
-    np.testing.assert_array_equal(mesh.nodes[mesh.held_nodes, 1], 0.0)
+    np.testing.assert_array_equal(mesh.nodes[mesh.constrained_nodes, 1], 0.0)
     p = 1.6075  # Thomsen's formula for the area, within 1.1 %
     ab, ac, bc = (a * b) ** p, (a * c) ** p, (b * c) ** p
     assert area(mesh, Border.SKIN) == pytest.approx(2 * np.pi * ((ab + ac + bc) / 3) ** (1 / p), rel=0.02)
@@ -150,7 +150,7 @@ def test_same_bytes_twice(ball):
 
 
 def test_partial_voxels_are_used():
-    """Shares of tissue in 3 mm voxels say where between them the surface is: volume of the ball within 0.5 %."""
+    """Tissue fractions in 3 mm voxels locate the surface between voxels: the volume of the ball is correct within 0.5 %."""
     x, _ = grid([-21, -21, -21], [23, 23, 23], [1.0, 1.0, 1.0])
     inside = (np.linalg.norm(x - CENTRE, axis=-1) < RADIUS).astype(float)
     share = inside.reshape(15, 3, 15, 3, 15, 3).mean(axis=(1, 3, 5))
@@ -214,7 +214,7 @@ def test_labels_that_cannot_be_a_body_are_refused():
 
 
 def test_gate_refuses_with_its_measures(ball, monkeypatch):
-    """Smoothed over 8 mm, the edge of the half-ellipsoid's nose moves by more than a voxel."""
+    """Smoothed over 8 mm, the edge of the half-ellipsoid's tip moves by more than a voxel."""
     monkeypatch.setattr(meshing3d, "ATTEMPTS", (Attempt(9.0, 1.0, 2, 0.0), Attempt(8.0, 1.0, 2, 0.0)))
     with pytest.raises(InputError, match=r"tried 2 times, the last with .*skin .* mm off \(at most one voxel, 1.00\)"):
         mesh_body(half_ellipsoid_labels(), 6.0)
@@ -228,7 +228,7 @@ def test_a_second_attempt_is_noted(monkeypatch):
 
 
 def test_manifold_means_no_touching():
-    """Two tetrahedra that share a node or an edge touch; apart they do not."""
+    """Two tetrahedra that share only a node or an edge are not manifold; separate ones are."""
     first, apart = np.array([[0, 1, 2, 3]]), np.array([[4, 5, 6, 7]])
     for second, answer in ((apart, True), ([[3, 4, 5, 6]], False), ([[2, 3, 4, 5]], False)):
         assert is_manifold(boundary(np.concatenate([first, second]))) is answer
@@ -255,7 +255,7 @@ def test_the_breast_ct_labels():
     mesh = mesh_body(read_labels(path), 4.0)
     print(len(mesh.tetrahedra), mesh.quality, mesh.notes)
     assert mesh.quality.volume == pytest.approx(602.8e3, rel=0.01)  # 465 + 95 + 43 ml
-    low = mesh.nodes[mesh.held_nodes, 2]
+    low = mesh.nodes[mesh.constrained_nodes, 2]
     np.testing.assert_array_equal(low, low[0])  # the cut at the chest is flat
 
 

@@ -1,4 +1,4 @@
-"""Known answers of Random123 (kat_vectors, philox4x32 10) and kernel = twin."""
+"""Published results of Random123 (kat_vectors, philox4x32 10); compiled and NumPy versions agree."""
 
 import os
 import subprocess
@@ -18,7 +18,7 @@ KNOWN = [
 ]
 
 
-@pytest.mark.parametrize("implementation", [philox.philox4x32, native.philox4x32], ids=["twin", "chosen"])
+@pytest.mark.parametrize("implementation", [philox.philox4x32, native.philox4x32], ids=["reference", "chosen"])
 @pytest.mark.parametrize(("counter", "key", "expected"), KNOWN, ids=["zeros", "ones", "pi"])
 def test_known_answers(implementation, counter, key, expected):
     words = implementation(np.array(counter, np.uint32), np.array(key, np.uint32))
@@ -27,7 +27,7 @@ def test_known_answers(implementation, counter, key, expected):
 
 
 @pytest.mark.skipif(not native.is_native, reason="the compiled module is absent or switched off")
-def test_kernel_equals_twin():
+def test_kernel_equals_reference():
     rng = np.random.default_rng(5)
     key = rng.integers(0, ONE, 2, dtype=np.uint32)
     for shape in [(4,), (1000, 4), (3, 7, 4), (0, 4)]:
@@ -37,14 +37,14 @@ def test_kernel_equals_twin():
     np.testing.assert_array_equal(native.philox4x32(counter, key), philox.philox4x32(counter, key))
 
 
-@pytest.mark.parametrize("implementation", [philox.philox4x32, native.philox4x32], ids=["twin", "chosen"])
+@pytest.mark.parametrize("implementation", [philox.philox4x32, native.philox4x32], ids=["reference", "chosen"])
 @pytest.mark.parametrize(("counter", "key"), [((5,), (2,)), ((3, 4), (3,)), ((4,), (2, 1))])
 def test_wrong_shapes_are_refused(implementation, counter, key):
     with pytest.raises(ValueError, match="philox4x32 takes"):
         implementation(np.zeros(counter, np.uint32), np.zeros(key, np.uint32))
 
 
-def test_twin_can_be_forced():
+def test_reference_can_be_forced():
     code = "import cicatrix.core.native as n, cicatrix.core.philox as p; assert n.philox4x32 is p.philox4x32"
     subprocess.run([sys.executable, "-c", code], env={**os.environ, "CICATRIX_NATIVE": "0"}, check=True)
 

@@ -1,4 +1,4 @@
-"""The stretch in a deformation against SciPy's polar decomposition."""
+"""The stretch tensor of a deformation compared with SciPy's polar decomposition."""
 
 import jax
 import numpy as np
@@ -24,14 +24,14 @@ def test_stretch_of_the_polar_decomposition(F):
 
 
 def test_derivative_holds_where_stretches_coincide():
-    """At F = I: dU = sym dF, by hand."""
+    """At F = I, dU = sym dF, by hand."""
     dF = rng.uniform(-1, 1, (3, 3))
     dU = jax.jvp(right_stretch, (np.eye(3),), (dF,))[1]
     np.testing.assert_allclose(dU, 0.5 * (dF + dF.T), atol=1e-14)
 
 
 def test_derivative():
-    """Sixth-order differences along a direction."""
+    """Compare with sixth-order differences in one direction."""
     dF, step = rng.uniform(-1, 1, (3, 3)), 1e-2
     shifted = {k: np.asarray(right_stretch(GENERAL + k * step * dF)) for k in (-3, -2, -1, 1, 2, 3)}
     slope = sum(w * shifted[k] for k, w in zip(shifted, (-1, 9, -45, 45, -9, 1))) / (60 * step)

@@ -1,4 +1,4 @@
-"""Cutting and meshing a section: axes, round trips, a conforming cavity, named borders, refusals."""
+"""Cutting and meshing a section: axes, conversion of positions, a conforming cavity, named borders, refusals."""
 
 import signal
 
@@ -11,14 +11,14 @@ from cicatrix.geometry.labels import TISSUES, Label
 from cicatrix.geometry.meshing import label_borders, mesh_section
 from cicatrix.geometry.section import Section
 from cicatrix.geometry.volume import Volume
-from cicatrix.kinds.lumpectomy.build import plan
-from cicatrix.kinds.lumpectomy.case import Image, LumpectomyCase, Mesh, Outcome, Resection
+from cicatrix.kinds.lumpectomy.build import breast_model
+from cicatrix.kinds.lumpectomy.case import ImageTable, LumpectomyCase, MeshTable, OutcomeTable, ResectionTable
 
 RADIUS, CAVITY, CENTRE = 20.0, 8.0, np.array([0.0, -10.0])
 
 
 def half(p):
-    """Signed distance of a half-disc y < 0."""
+    """Return the signed distance of a half-disc y < 0."""
     return np.maximum(np.hypot(*p.T) - RADIUS, p[:, 1])
 
 
@@ -59,7 +59,7 @@ def test_pixels_lie_where_they_say():
 
 
 def test_cavity_conforms(mesh):
-    """No element crosses the border; the cavity's area is pi 8^2, the body's pi 20^2 / 2, each within 1 %."""
+    """No element crosses the border; the areas of cavity and body are pi 8^2 and pi 20^2 / 2, each within 1 %."""
     inside = np.zeros(mesh.nelements, bool)
     inside[mesh.subdomains["cavity"]] = True
     corners = disc(mesh.p.T)[mesh.t]
@@ -70,7 +70,7 @@ def test_cavity_conforms(mesh):
 
 
 def test_borders_have_names(mesh):
-    """The flat side is wall, the round one skin: 40 mm and pi 20 mm long."""
+    """The flat side is wall and the round one skin, 40 mm and pi 20 mm long."""
     named = label_borders(mesh, lambda p: p[:, 1] > 0.0)
 
     def length(name):
@@ -96,10 +96,10 @@ def test_an_empty_section_is_refused():
 
 def case_of(slice_mm=None, nipple_mm=None, **resection):
     return LumpectomyCase(
-        image=Image(labels="not-read.nii", slice_mm=slice_mm),
-        outcome=Outcome(nipple_mm=nipple_mm),
-        resection=Resection(**resection),
-        mesh=Mesh(edge_mm=8.0, cavity_edge_mm=4.0),
+        image=ImageTable(labels="not-read.nii", slice_mm=slice_mm),
+        outcome=OutcomeTable(nipple_mm=nipple_mm),
+        resection=ResectionTable(**resection),
+        mesh=MeshTable(edge_mm=8.0, cavity_edge_mm=4.0),
     )
 
 
@@ -111,51 +111,51 @@ def case_of(slice_mm=None, nipple_mm=None, **resection):
         ({}, case_of(radius_mm=28.0), "resection.radius_mm must be smaller than the breast"),
         ({}, case_of(slice_mm=4.0, centre_mm=(0.0, -13.0, -2.0), radius_mm=5.0), "does not cut the cavity"),
         ({}, case_of(radius_mm=5.0, nipple_mm=(0.0, -50.0, 0.0)), r"outcome.nipple_mm .* it lies 20\.\d mm from it"),
-        ({"tumour": False}, case_of(radius_mm=5.0), "resection.centre_mm is missing and the labels hold no tumour"),
+        ({"tumour": False}, case_of(radius_mm=5.0), "resection.centre_mm is missing and the labels have no tumour"),
     ],
 )
 def test_a_plan_that_cannot_be_is_refused(half_disc, phantom, case, sentence):
     with pytest.raises(InputError, match=sentence):
-        plan(case, half_disc(**phantom))
+        breast_model(case, half_disc(**phantom))
 
 
 def test_a_breast_without_a_chest_wall_is_refused(half_disc):
-    """Chest elsewhere in the image, none behind this breast."""
+    """The image has chest elsewhere, but none behind this breast."""
     anatomy = half_disc(chest=False)
     anatomy.labels.values[0, -1, 0] = Label.CHEST
     with pytest.raises(InputError, match="touches no chest wall"):
-        plan(case_of(radius_mm=5.0), anatomy)
+        breast_model(case_of(radius_mm=5.0), anatomy)
 
 
 def test_the_plan_of_a_half_disc(half_disc):
-    """Wall is flat, skin is round; the cavity lies around the tumour; the nipple is the foremost point."""
-    planned = plan(case_of(radius_mm=7.0), half_disc())
-    np.testing.assert_allclose(planned.centre_mm, [0.0, -13.0, 0.0], atol=0.5)
-    inside = areas(planned.mesh)[planned.cavity].sum()
-    assert planned.margin_mm(half_disc()) == pytest.approx(3.5, abs=1.5)  # 7 mm around a ball of 3.5 mm in 2 mm voxels
-    assert planned.margin_mm(half_disc(tumour=False)) == np.inf
+    """The wall is flat and the skin round; the cavity lies around the tumour; the nipple is the most anterior point."""
+    model = breast_model(case_of(radius_mm=7.0), half_disc())
+    np.testing.assert_allclose(model.centre_mm, [0.0, -13.0, 0.0], atol=0.5)
+    inside = areas(model.mesh)[model.cavity].sum()
+    assert model.margin_mm(half_disc()) == pytest.approx(3.5, abs=1.5)  # 7 mm around a ball of 3.5 mm in 2 mm voxels
+    assert model.margin_mm(half_disc(tumour=False)) == np.inf
     assert inside == pytest.approx(np.pi * 49, rel=0.03)  # of eleven sides
-    X = planned.x_imaged
-    assert np.abs(X[planned.intact.frame.fixed_nodes, 1]).max() < 2.0
-    assert X[planned.outline[planned.nipple], 1] == pytest.approx(-30.0, abs=1.0)
-    assert abs(X[planned.outline[planned.nipple], 0]) < 4.0
-    assert len(set(planned.outline.tolist())) == len(planned.outline)
+    X = model.x_imaged
+    assert np.abs(X[model.intact.discretization.fixed_nodes, 1]).max() < 2.0
+    assert X[model.outline[model.nipple], 1] == pytest.approx(-30.0, abs=1.0)
+    assert abs(X[model.outline[model.nipple], 0]) < 4.0
+    assert len(set(model.outline.tolist())) == len(model.outline)
 
 
 def test_a_nipple_that_is_given_is_the_nearest_point_of_the_skin(half_disc):
-    """At 45 degrees beside the foremost point; 3 mm in front of the skin and off the section."""
-    planned = plan(case_of(radius_mm=7.0, nipple_mm=(23.3, -23.3, 2.0)), half_disc())
-    X = planned.x_imaged[planned.outline[planned.nipple], :2]
+    """A nipple given at 45 degrees beside the most anterior point, 3 mm in front of the skin and off the section."""
+    model = breast_model(case_of(radius_mm=7.0, nipple_mm=(23.3, -23.3, 2.0)), half_disc())
+    X = model.x_imaged[model.outline[model.nipple], :2]
     np.testing.assert_allclose(X, [21.2, -21.2], atol=2.5)  # points lie 4 mm apart
 
 
 def test_skin_weighs_and_bears_no_load_in_the_bulk(half_disc):
-    """Where a voxel is half skin, density is the mean of both, stiffness that of the rest."""
+    """Where a voxel is half skin, density is the mean of both tissues, and stiffness is that of the rest."""
     anatomy = half_disc(tumour=False)
     inside = anatomy.labels.values == Label.FAT
     anatomy.probabilities.values[TISSUES.index(Label.FAT)][inside] = 0.5
     anatomy.probabilities.values[TISSUES.index(Label.SKIN)][inside] = 0.5
-    tissue = plan(case_of(centre_mm=(0.0, -13.0, 0.0), radius_mm=7.0), anatomy).tissue
+    tissue = breast_model(case_of(centre_mm=(0.0, -13.0, 0.0), radius_mm=7.0), anatomy).tissue
     deep = np.abs(tissue.density - tissue.density.max()) < 1e-12
     assert deep.mean() > 0.5
     assert tissue.density.max() == pytest.approx(0.5 * (930 + 1090) * 1e-9, rel=1e-3)
@@ -163,7 +163,7 @@ def test_skin_weighs_and_bears_no_load_in_the_bulk(half_disc):
 
 
 def test_signals_are_heard_after_meshing():
-    """MMG takes them for itself; the process would end here."""
+    """MMG installs its own signal handlers, which would end the process here."""
     heard, box = [], (np.array([-RADIUS, -RADIUS]), np.array([RADIUS, 0.0]))
     before = {number: signal.signal(number, lambda n, _: heard.append(n)) for number in TAKEN}
     try:

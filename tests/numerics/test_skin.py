@@ -9,7 +9,7 @@ import skfem
 
 from cicatrix.geometry.tetrahedra import oriented, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
-from cicatrix.mechanics.body import Body, Frame
+from cicatrix.mechanics.body import Body, Discretization
 from cicatrix.mechanics.elements import (
     Membrane,
     membrane_energy,
@@ -59,7 +59,7 @@ def reference_stiffness(X, x):
 
 
 def stretched(pairs):
-    """Flat faces with these principal stretches, along axes askew to the faces' edges, turned in space: X, x (n, 6, 3)."""
+    """Return flat faces with these principal stretches, on axes oblique to their edges, rotated in space: X, x (n, 6, 3)."""
     c, s = np.cos(0.7), np.sin(0.7)
     axes = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
     F = np.stack([axes.T @ np.diag([one, other, 1.0]) @ axes for one, other in pairs])
@@ -68,7 +68,7 @@ def stretched(pairs):
 
 
 def pulls(pairs):
-    """Nominal stresses along the two axes (n, 2) [kPa], from the forces' virials over the volume."""
+    """Return the nominal stresses along the two axes (n, 2) [kPa], from the virial of the forces over the volume."""
     X, x, axes = stretched(pairs)
     f = np.asarray(forces(X, x))
     P = np.einsum("nai,naj->nij", f, X) / (AREA * THICKNESS)
@@ -77,7 +77,7 @@ def pulls(pairs):
 
 
 def test_a_stretched_sheet_in_closed_form():
-    """Incompressible neo-Hookean sheet, by hand: mu (l1 - 1 / (l1^3 l2^2)) along the first axis and so along the second."""
+    """Incompressible neo-Hookean sheet, by hand: mu (l1 - 1 / (l1^3 l2^2)) along the first axis, and alike along the second."""
     pairs = np.array([[1.3, 1.3], [1.0, 1.0], [1.5, 1.1], [1.0, 1.2], [1.05, 2.0], [1.4, 1.4**-0.5], [1.1, 0.98]])
     one, other = pairs.T
     expected = MU * np.stack([one - one**-3 * other**-2, other - other**-3 * one**-2], axis=1)
@@ -88,14 +88,14 @@ def test_a_stretched_sheet_in_closed_form():
 
 
 def test_a_sheet_of_a_section_is_that_of_a_solid():
-    """Stretched with its width held, as every section's skin is: mu/2 (l^2 + l^-2 - 2), the section's closed form."""
+    """Stretched at constant width, like the skin of a section: mu/2 (l^2 + l^-2 - 2)."""
     lam = np.array([1.001, 1.1, 1.6])
     W = np.asarray(energies(*stretched([(s, 1.0) for s in lam])[:2])) / (AREA * THICKNESS)
     np.testing.assert_allclose(W, MU / 2 * (lam**2 + lam**-2 - 2), rtol=1e-9)
 
 
 def test_a_wrinkled_sheet_pulls_as_a_string_and_bears_little():
-    """Pulled to l and narrower than l^(-1/2): mu (l - l^-2) along, less half of the push across, which ends at 4 mu w.
+    """Stretched to l and narrower than l^(-1/2): mu (l - l^-2) along, minus half of the compression across, up to 4 mu w.
 
     By hand: with p = -log(l2) - log(l)/2, l2 P2 = -4 mu w (1 - exp(-p/w)) and l P1 = mu (l^2 - 1/l) + l2 P2 / 2.
     """
@@ -107,7 +107,7 @@ def test_a_wrinkled_sheet_pulls_as_a_string_and_bears_little():
 
 
 def test_a_slack_sheet_bears_no_more_than_its_limit():
-    """Shortened both ways: Kirchhoff stresses are alike, between none and 4 mu w, and reach it far from rest."""
+    """Compressed in both directions: equal Kirchhoff stresses between 0 and 4 mu w, which is reached far from rest."""
     pairs = np.array([[0.999, 0.999], [0.9, 0.9], [0.9, 0.6], [0.5, 0.5]])
     kirchhoff = -pulls(pairs) * pairs / (4 * MU * LIMIT)
     assert (kirchhoff > 0).all()
@@ -128,7 +128,7 @@ STATES = {
 
 @pytest.fixture(scope="module")
 def curved():
-    """Curved faces in each state, a little uneven; the flat ones at rest and with equal stretches stay exactly so."""
+    """Return curved, slightly uneven faces in each state; flat ones at rest and with equal stretches stay exactly so."""
     X, x, _ = stretched(list(STATES.values()))
     rng = np.random.default_rng(7)
     uneven = [name in ("taut", "wrinkled", "slack") for name in STATES]
@@ -138,7 +138,7 @@ def curved():
 
 
 def test_force_and_tangents_are_derivatives(curved, slope):
-    """Against fourth-order differences, at rest and at equal stretches too: energy, force, by x and by X; symmetric by x."""
+    """Compare energy, force and tangents with fourth-order differences, also at rest and at equal stretches."""
     X, x = curved
     rng = np.random.default_rng(4)
     K, K_reference = np.asarray(stiffness(X, x)), np.asarray(reference_stiffness(X, x))
@@ -153,7 +153,7 @@ def test_force_and_tangents_are_derivatives(curved, slope):
             found = np.einsum("nij,nj->ni", matrix, flat)
             atol = 2e-6 * np.abs(expected).max()
             np.testing.assert_allclose(found[1:], expected[1:], rtol=0, atol=atol)
-            # at rest third derivatives jump, and differences in steps of 1e-4 are as inexact
+            # third derivatives jump at rest, so differences with steps of 1e-4 are less accurate
             np.testing.assert_allclose(found[0], expected[0], rtol=0, atol=5e-3 * np.abs(expected).max())
 
 
@@ -163,7 +163,7 @@ def test_turned_skin_is_at_rest():
 
 
 def test_more_stretch_never_pulls_less():
-    """Second derivatives by the principal stretches are no less than 0, whatever the state: differences of the pulls."""
+    """Second derivatives by the principal stretches are not negative in any state: differences of the stresses."""
     grid = np.array([(one, other) for one in (0.6, 0.9, 1.05, 1.3) for other in (0.5, 0.8, 0.95, 1.02, 1.4)])
     h = 1e-5
     columns = [(pulls(grid + h * step) - pulls(grid - h * step)) / (2 * h) for step in np.eye(2)]
@@ -172,8 +172,8 @@ def test_more_stretch_never_pulls_less():
 
 
 def test_only_a_push_makes_a_wrinkled_patch_unstable():
-    """Negative eigenvalues of a wrinkled face are those of its push alone (second Piola-Kirchhoff, 4 mu w / l2^2 at most), which
-    bends it out of its plane; without a push, at a wrinkling strain of 1e-6, there are none.
+    """Negative eigenvalues of a wrinkled face come only from its compression (second Piola-Kirchhoff, at most 4 mu w / l2^2),
+    which moves it out of its plane; without compression, at a wrinkling strain of 1e-6, there are none.
     """
     pairs = np.array([(1.2, 0.7), (1.3, 0.5)])
     X, x, _ = stretched(pairs)
@@ -195,7 +195,7 @@ TISSUE, FILM = moduli_from_young(3.0, 0.49), moduli_from_young(60.0, 0.499)
 
 
 def column(x_lines, n_up):
-    """Tetrahedra on a column, its cells between given lines across, two deep and some up."""
+    """Return tetrahedra of a column with cells between given lines, two deep, and several along its height."""
     mesh = skfem.MeshTet.init_tensor(np.array(x_lines), np.linspace(0, 20, 3), np.linspace(0, HEIGHT, n_up + 1))
     return SolidSpace(*with_middles(mesh.p.T, oriented(mesh.p.T, mesh.t.T)))
 
@@ -204,7 +204,7 @@ def column_body(space, law, facets, thickness):
     shape = space.n_elements, space.table.weight.size
     base = np.flatnonzero(space.positions[:, 2] < 1e-9)
     return Body(
-        Frame(space, facets, base),
+        Discretization(space, facets, base),
         law,
         np.full(shape, 1e-6),
         np.ones(space.n_elements),
@@ -215,7 +215,7 @@ def column_body(space, law, facets, thickness):
 
 
 def coated_column(n_up):
-    """A column with a skin on two of its sides, which does not wrinkle."""
+    """Return a column with skin on two of its sides that does not wrinkle."""
     space = column(np.linspace(-HALF, HALF, 3), n_up)
     sides = np.flatnonzero((np.abs(np.abs(space.positions[space.boundary][..., 0]) - HALF) < 1e-9).all(axis=1))
     return column_body(space, NeoHookean(*TISSUE), sides, LAYER)
@@ -229,9 +229,9 @@ def coated():
 @pytest.mark.slow
 @pytest.mark.parametrize(("n_up", "within"), [(8, 0.06), (16, 0.03)])
 def test_skin_is_a_thin_stiff_layer(n_up, within):
-    """Bent by gravity sideways: skin of 0.4 mm against tetrahedra of 0.4 mm about the same surface, and against none.
+    """Bent by sideways gravity: compare a skin of 0.4 mm with a layer of tetrahedra of 0.4 mm, and with no skin.
 
-    The layer is nearly incompressible and flat, so it comes out a little too stiff: by 11, 5 and 2 % with 4, 8 and 16 cells up.
+    The layer is nearly incompressible and thin, so it is slightly too stiff: by 11, 5 and 2 % with 4, 8 and 16 cells along.
     """
     inner, outer = HALF - LAYER / 2, HALF + LAYER / 2
     space = column([-outer, -inner, 0.0, inner, outer], n_up)
@@ -240,10 +240,10 @@ def test_skin_is_a_thin_stiff_layer(n_up, within):
     law = NeoHookean(*(np.where(is_layer, film, tissue) for tissue, film in zip(TISSUE, FILM)))
     layered = column_body(space, law, np.zeros(0, int), 0.0)
     with_skin = coated_column(n_up)
-    bare = column_body(with_skin.frame.space, NeoHookean(*TISSUE), np.zeros(0, int), 0.0)
+    bare = column_body(with_skin.discretization.space, NeoHookean(*TISSUE), np.zeros(0, int), 0.0)
     moved = []
     for body in (with_skin, layered, bare):
-        X = body.frame.space.positions
+        X = body.discretization.space.positions
         x, _ = Equilibrium(1e-6).loaded(body, X, np.array([500.0, 0.0, 0.0]))
         moved.append((x - X)[X[:, 2] > HEIGHT - 1e-9, 0].mean())
     assert moved[0] == pytest.approx(moved[1], rel=within)
@@ -252,15 +252,15 @@ def test_skin_is_a_thin_stiff_layer(n_up, within):
 
 @pytest.mark.parametrize("unknown", ["loaded", "unloaded"])
 def test_matrix_is_the_derivative_of_the_residual(coated, unknown, slope):
-    """Tissue and skin assembled, along a random direction."""
-    X = coated.frame.space.positions
+    """Compare tissue and skin assembled with differences in a random direction."""
+    X = coated.discretization.space.positions
     rng = np.random.default_rng(5)
     x = X + 0.2 * X[:, [1, 1, 2]] * np.stack(
         [0 * X[:, 0], 0 * X[:, 0] + 1, X[:, 0] / HALF], axis=1
     )  # wrinkled, and taut
     x += 0.02 * rng.standard_normal(X.shape)
-    J, gravity = coated.dilation(X, x), np.array([9e3, -4e3, 2e3])
-    free = coated.frame.solved(False)[0]
+    J, gravity = coated.volume_ratio(X, x), np.array([9e3, -4e3, 2e3])
+    free = coated.discretization.solved(False)[0]
     if unknown == "loaded":
         matrix, _ = coated.linearised(X, x, J, in_plane=False)
     else:
@@ -274,7 +274,7 @@ def test_matrix_is_the_derivative_of_the_residual(coated, unknown, slope):
 
 
 def test_forward_of_inverse_is_where_it_began(coated):
-    x, gravity = coated.frame.space.positions, np.array([1000.0, 0.0, -3000.0])
+    x, gravity = coated.discretization.space.positions, np.array([1000.0, 0.0, -3000.0])
     solver = Equilibrium(1e-10)
     X, _ = solver.unloaded(coated, x, gravity)
     assert np.abs(X - x).max() > 0.3
@@ -284,7 +284,7 @@ def test_forward_of_inverse_is_where_it_began(coated):
 
 @pytest.mark.parametrize(("share", "thickness", "is_stable"), [(1.0, 1.45, True), (8.0, 1.45, False), (8.0, 0.0, True)])
 def test_a_mesh_bears_the_push_that_is_left_to_its_skin(share, thickness, is_stable):
-    """Squeezed beyond the wrinkling strain, no wave of the mesh buckles; some do under eight times the push, not without skin."""
+    """Compressed beyond wrinkling, no mode of the mesh buckles; some do under eight times the force, but not without skin."""
     lines = np.linspace(0.0, 16.0, 5)
     mesh = skfem.MeshTet.init_tensor(lines, lines, np.linspace(0.0, 12.0, 4))
     space = SolidSpace(*with_middles(mesh.p.T, oriented(mesh.p.T, mesh.t.T)))
@@ -294,7 +294,7 @@ def test_a_mesh_bears_the_push_that_is_left_to_its_skin(share, thickness, is_sta
     shape = (space.n_elements, space.table.weight.size)
     limit = share * meshed_wrinkling_strain(FILM_E, FAT_E, 1.45, 4.0)
     body = Body(
-        Frame(space, on_top, held),
+        Discretization(space, on_top, held),
         NeoHookean(*(np.full(shape, m) for m in moduli_from_young(FAT_E, 0.49))),
         np.full(shape, 1e-6),
         np.ones(space.n_elements),
@@ -303,7 +303,7 @@ def test_a_mesh_bears_the_push_that_is_left_to_its_skin(share, thickness, is_sta
         limit,
     )
     x = X * (1.0 - 4.0 * limit, 1.0 - 4.0 * limit, (1.0 - 4.0 * limit) ** -2)
-    matrix, _ = body.linearised(X, x, body.dilation(X, x), in_plane=False)
+    matrix, _ = body.linearised(X, x, body.volume_ratio(X, x), in_plane=False)
     least = np.linalg.eigvalsh(matrix.toarray())[0]
     assert (least > 0) == is_stable
 

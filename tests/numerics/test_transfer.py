@@ -1,4 +1,4 @@
-"""Between mesh and lattice: every site in one element, linear fields exact, means kept."""
+"""Transfer between mesh and lattice: every site in one element, linear fields exact, means preserved."""
 
 import numpy as np
 import pytest
@@ -32,7 +32,7 @@ def sites(space, points):
 
 
 def test_every_site_inside_has_one_element(space, sites, points):
-    """Inside the square exactly where the coordinates say so; and the element is the mesh library's (other method)."""
+    """Sites are inside the square exactly where their coordinates are, and the element agrees with that of the mesh library."""
     inside = ((points > 1e-9) & (points < SIDE - 1e-9)).all(axis=1)
     outside = ((points < -1e-9) | (points > SIDE + 1e-9)).any(axis=1)
     assert (sites.element[inside] != OUTSIDE).all()
@@ -51,7 +51,7 @@ def test_local_coordinates_lead_back(space, sites, points):
 
 
 def test_sites_measure_area(space, sites, lattice, points):
-    """Element areas to a perimeter's worth of sites; the whole exactly as many as there are sites inside."""
+    """The sites of an element measure its area to within its perimeter; their total is exact."""
     counts = sites.count(np.ones(len(points), bool))
     areas = measures(space, space.positions).sum(axis=1)
     np.testing.assert_allclose(counts * lattice.site_measure, areas, atol=0.5 * PITCH * 8.0)
@@ -59,13 +59,13 @@ def test_sites_measure_area(space, sites, lattice, points):
 
 
 def test_counting_loses_nothing(sites, points):
-    """Any choice of sites: the sum over elements is the number of those inside (conservation)."""
+    """For any choice of sites, the sum over elements is the number of sites inside."""
     chosen = np.random.default_rng(0).random(len(points)) < 0.3
     assert sites.count(chosen).sum() == np.count_nonzero(chosen & (sites.element != OUTSIDE))
 
 
 def test_linear_field_is_exact(space, sites, points):
-    """2 + 3 x - y, fitted at quadrature points and evaluated at sites."""
+    """The field 2 + 3 x - y, fitted at quadrature points, is evaluated exactly at sites."""
     at_qp = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
     values = 2 + 3 * at_qp[..., 0] - at_qp[..., 1]
     fitted = linear_fit(values, measures(space, space.positions), space.table.points)
@@ -85,10 +85,10 @@ def test_fit_keeps_the_weighted_mean(space):
 
 
 def test_there_and_back_keeps_element_means(space, sites, points):
-    """W on the mesh -> lattice -> mean over the sites of each element; what is left is the sites' quadrature, O(h).
+    """Mean of W over the sites of each element, interpolated from the mesh: the error is that of quadrature by sites, O(h).
 
-    A line of sites on a side counts for either element, as rounding has it: half a pitch along a perimeter of 7 mm, of an area
-    of 2 mm^2, by how much W differs there from its mean.
+    A line of sites on a side belongs to either element, depending on round-off: half a pitch along a perimeter of 7 mm, of an
+    area of 2 mm^2, times the difference of W there from its mean.
     """
     at_qp = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
     W = 1 + np.sin(at_qp[..., 0]) * np.cos(at_qp[..., 1] / 2) ** 2
@@ -101,7 +101,7 @@ def test_there_and_back_keeps_element_means(space, sites, points):
 
 
 def test_a_bent_edge_is_shared(space, points):
-    """Elements with curved edges still share out the sites without gap: midpoints inside the square are moved."""
+    """Elements with curved edges still cover all sites exactly once: midpoints inside the square are moved."""
     X = space.positions.copy()
     facets = np.setdiff1d(np.arange(space.mesh.nfacets), space.mesh.boundary_facets())
     X[space.facet_nodes(facets)[:, 2], :2] += 0.05

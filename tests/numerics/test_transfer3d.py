@@ -1,4 +1,4 @@
-"""Between tetrahedra and a lattice: every site in one element, linear fields exact, means kept."""
+"""Transfer between tetrahedra and a lattice: every site in one element, linear fields exact, means preserved."""
 
 import numpy as np
 import pytest
@@ -16,7 +16,7 @@ BOX = np.array([[-0.4, -0.5, -0.6], [3.1, 3.2, 2.9]])
 
 @pytest.fixture(scope="module")
 def space():
-    """A block of irregular tetrahedra, edges of about 1 mm."""
+    """Return a block of irregular tetrahedra with edges of about 1 mm."""
     nodes, tetrahedra = bcc_lattice(np.zeros(3), np.full(3, 3.0), 1.0)
     inner = np.setdiff1d(np.arange(len(nodes)), boundary(tetrahedra))
     nodes[inner] += np.random.default_rng(1).uniform(-0.1, 0.1, (len(inner), 3))
@@ -54,7 +54,7 @@ def test_eight_pieces_fill_the_tetrahedron():
 
 
 def test_every_site_inside_has_one_element(space, sites, points):
-    """Inside the block exactly where the coordinates say so; and nowhere beyond the box."""
+    """Sites are inside the block exactly where their coordinates are, and none lies outside the box."""
     low, high = bounds(space)
     in_box = within(points, *BOX)
     assert (sites.element[in_box & within(points, low + 1e-9, high - 1e-9)] != OUTSIDE).all()
@@ -71,7 +71,7 @@ def test_local_coordinates_lead_back(space, sites, points):
 
 
 def test_a_linear_field_is_exact(space, sites, points):
-    """2 + 3 x - y + z / 2, fitted at quadrature points and evaluated at sites."""
+    """The field 2 + 3 x - y + z / 2, fitted at quadrature points, is evaluated exactly at sites."""
     at_qp = np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
     field = np.array([3.0, -1.0, 0.5])
     fitted = linear_fit(2 + at_qp @ field, measures(space, space.positions), space.table.points)
@@ -81,7 +81,7 @@ def test_a_linear_field_is_exact(space, sites, points):
 
 
 def test_sites_measure_volume(space, sites, lattice, points):
-    """Elements whole in the box, all together: their volume, to what the sites on the surface make of it."""
+    """The sites in all elements measure their volume, except for those on the surface."""
     low, high = bounds(space)
     cut = (np.minimum(high, BOX[1]) - np.maximum(low, BOX[0])).prod()
     counts = sites.count(np.ones(lattice.n_sites, bool))
@@ -92,7 +92,7 @@ def test_sites_measure_volume(space, sites, lattice, points):
 
 
 def test_bent_elements_share_their_faces(space, lattice, points):
-    """Middles of edges inside the block moved: sites are still shared out without gap, each once."""
+    """With the midpoints of inner edges moved, the elements still cover all sites exactly once."""
     X = space.positions.copy()
     middles = np.setdiff1d(space.element_nodes[:, 4:], space.boundary)
     X[middles] += np.random.default_rng(3).uniform(-0.04, 0.04, (len(middles), 3))

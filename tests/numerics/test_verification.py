@@ -1,4 +1,4 @@
-"""Solids against closed forms: inflated shells, a twisted cylinder; Cook's membrane; the table of docs/verification.md."""
+"""Solids against closed-form solutions: inflated shells, a twisted cylinder; Cook's membrane; table of docs/verification.md."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import skfem
 
 from cicatrix.geometry.tetrahedra import oriented, with_middles
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
-from cicatrix.mechanics.body import Body, Frame
+from cicatrix.mechanics.body import Body, Discretization
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.space import SolidSpace
 from cicatrix.mechanics.supports import walls
@@ -18,7 +18,7 @@ MU, KAPPA = moduli_from_young(3.0, NU)  # kPa
 
 
 def prisms(triangles, layers):
-    """Tetrahedra of prisms on a plane mesh: points (n, 2), triangles (m, 3), heights -> points (., 3), tetrahedra (., 4)."""
+    """Extrude a plane mesh to tetrahedra: points (n, 2), triangles (m, 3), heights -> points (., 3), tetrahedra (., 4)."""
     points, cells = triangles
     n = len(points)
     low = np.sort(cells, axis=1)
@@ -32,7 +32,7 @@ def prisms(triangles, layers):
 
 
 def mapped(points, tetrahedra, where):
-    """Quadratic tetrahedra whose nodes, middles too, are mapped: curved where the map is."""
+    """Return quadratic tetrahedra whose nodes, including midpoints, are mapped and thus curved."""
     nodes, cells = with_middles(points, tetrahedra)
     space = SolidSpace(where(nodes), cells)
     first = space.positions[cells[:, :4]]
@@ -42,11 +42,11 @@ def mapped(points, tetrahedra, where):
 
 
 def body_of(space, law, *, fixed=(), sliding=None, pressed=None, pressure=0.0):
-    """A body without weight; what slides and what is pressed are told of face centres (n, 3)."""
+    """Return a weightless body; functions of face centres (n, 3) say which faces slide and which are under pressure."""
     centres = space.positions[space.boundary[:, :3]].mean(axis=1)
     faces = [np.flatnonzero(test(centres)) if test else np.zeros(0, int) for test in (sliding, pressed)]
     return Body(
-        Frame(space, faces[1], np.asarray(fixed, int), *walls(space, faces[0])),
+        Discretization(space, faces[1], np.asarray(fixed, int), *walls(space, faces[0])),
         law,
         np.full((space.n_elements, space.table.weight.size), 1e-12),
         np.ones(space.n_elements),
@@ -57,15 +57,15 @@ def body_of(space, law, *, fixed=(), sliding=None, pressed=None, pressure=0.0):
 
 
 def converged(body, x, load, steps=12):
-    """Newton with a fresh tangent each time under dead loads (n_nodes, 3) [mN]: positions, norms of the residual."""
-    X, supports = body.frame.space.positions, body.frame.supports(False)
+    """Iterate Newton with a fresh tangent under dead loads (n_nodes, 3) [mN]; return positions and norms of the residual."""
+    X, supports = body.discretization.space.positions, body.discretization.supports(False)
     solver, norms = LinearSolver(), []
     for _ in range(steps):
         r = supports.unknowns(body.residual(X, x, np.zeros(3)) - load)
         norms.append(np.linalg.norm(r))
         if norms[-1] < 1e-9 * max(norms):
             break
-        matrix, _ = body.linearised(X, x, body.dilation(X, x), in_plane=False)
+        matrix, _ = body.linearised(X, x, body.volume_ratio(X, x), in_plane=False)
         x = supports.positions(supports.unknowns(x) - solver.solve(supports.matrix(matrix), r, 1e-12), x)
     return x, np.array(norms)
 
@@ -74,7 +74,7 @@ def converged(body, x, load, steps=12):
 
 
 def spherical(n):
-    """An eighth of a thick sphere: the plane triangle of the three poles cut n times, and as many layers."""
+    """Return an eighth of a thick sphere: the triangle between three poles refined n times, with as many layers."""
     i, j = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)]).T
     number = {pair: k for k, pair in enumerate(zip(i, j))}
     up = [[number[a, b], number[a + 1, b], number[a, b + 1]] for a, b in zip(i, j) if a + b < n]
@@ -89,7 +89,7 @@ def spherical(n):
 
 
 def tubular(n):
-    """A quarter of a thick tube, n cells across the wall, 5 mm long."""
+    """Return a quarter of a thick tube, n cells across the wall, 5 mm long."""
     mesh = skfem.MeshTet.init_tensor(np.linspace(0, 1, n + 1), np.linspace(0, np.pi / 2, n + 1), np.linspace(0, 5, 2))
 
     def where(p):
@@ -105,7 +105,7 @@ STRETCH = 1.3  # of the inner radius
 def pressure_in(power):
     """Pressure that stretches the inner radius of an incompressible neo-Hookean sphere (power 3) or tube (power 2) so [kPa].
 
-    r^n = R^n + a^n - A^n; the integral of the hoop stress less the radial one over the wall, by hand (sphere: Green & Zerna).
+    r^n = R^n + a^n - A^n; integral of hoop minus radial stress over the wall, by hand (sphere: Green & Zerna).
     """
     outer = ((OUTER**power + (STRETCH**power - 1) * INNER**power) ** (1 / power)) / OUTER
     if power == 3:
@@ -114,7 +114,7 @@ def pressure_in(power):
 
 
 def inflated(shape, n):
-    """A shell on its planes of symmetry under the pressure: body, distance of nodes from the axis or the centre."""
+    """Return a shell on its symmetry planes under the pressure: body, and distance of nodes from the axis or the centre."""
     space = {"sphere": spherical, "tube": tubular}[shape](n)
     axes = {"sphere": 3, "tube": 2}[shape]
 
@@ -139,9 +139,9 @@ def inflated(shape, n):
 
 
 def radius_error(shape, n):
-    """Mean inner radius over the exact one, less 1."""
+    """Return the relative error of the mean inner radius."""
     body, radius = inflated(shape, n)
-    X = body.frame.space.positions
+    X = body.discretization.space.positions
     x, _ = Equilibrium(1e-8).loaded(body, X, np.zeros(3))
     inner = np.abs(radius(X) - INNER) < 1e-6
     return radius(x)[inner].mean() / (STRETCH * INNER) - 1.0
@@ -149,16 +149,16 @@ def radius_error(shape, n):
 
 @pytest.mark.parametrize(("shape", "n", "within"), [("tube", 2, 1e-5), ("sphere", 2, 8e-4), ("sphere", 4, 4e-5)])
 def test_inflated_shells(shape, n, within):
-    """Inner radius stretched by 1.3, over the incompressible closed form; tissue is at 0.4999."""
+    """Compare an inner stretch of 1.3 with the incompressible closed form; the Poisson ratio of the tissue is 0.4999."""
     assert abs(radius_error(shape, n)) < within
 
 
 @pytest.mark.parametrize("shape", ["tube", "sphere"])
 def test_newton_is_quadratic_under_pressure(shape):
-    """With a fresh tangent each time, from 90 % of the pressure: each norm, over the first, is below the last one squared."""
+    """With fresh tangents, starting at 90 % of the pressure, each relative residual is below the square of the one before."""
     body, _ = inflated(shape, 2)
-    X = body.frame.space.positions
-    x, _ = Equilibrium(1e-8).loaded(body.under(0.9), X, np.zeros(3))
+    X = body.discretization.space.positions
+    x, _ = Equilibrium(1e-8).loaded(body.with_pressure_share(0.9), X, np.zeros(3))
     _, norms = converged(body, x, np.zeros_like(X))
     close = norms[norms < 0.1 * norms[0]]
     assert close.size > 1
@@ -166,7 +166,7 @@ def test_newton_is_quadratic_under_pressure(shape):
 
 
 def test_matrix_under_pressure_that_ends_freely(slope):
-    """On nodes that slide, with pressure on one face only: derivative of the residual, and not symmetric."""
+    """With sliding nodes and pressure on one face only, the matrix is the derivative of the residual and not symmetric."""
     mesh = skfem.MeshTet.init_tensor(*[np.linspace(0, 20.0, 3)] * 3)
     space = SolidSpace(*with_middles(mesh.p.T, oriented(mesh.p.T, mesh.t.T)))
     body = body_of(
@@ -176,12 +176,12 @@ def test_matrix_under_pressure_that_ends_freely(slope):
         pressed=lambda p: p[:, 2] > 20.0 - 1e-9,
         pressure=1.0,
     )
-    rng, supports = np.random.default_rng(0), body.frame.supports(False)
+    rng, supports = np.random.default_rng(0), body.discretization.supports(False)
     X = space.positions
     x = X + supports.positions(0.3 * rng.standard_normal(supports.n_unknowns), np.zeros_like(X))
     d = supports.positions(rng.standard_normal(supports.n_unknowns), np.zeros_like(X))
     assert np.abs(d[np.abs(X) < 1e-9]).max() < 1e-15
-    K = supports.matrix(body.linearised(X, x, body.dilation(X, x), in_plane=False)[0])
+    K = supports.matrix(body.linearised(X, x, body.volume_ratio(X, x), in_plane=False)[0])
     expected = slope(lambda t: supports.unknowns(body.residual(X, x + t * d, np.zeros(3))), 1e-4)
     np.testing.assert_allclose(K @ supports.unknowns(d), expected, rtol=0, atol=1e-6 * np.abs(expected).max())
     assert np.abs(K - K.T).max() > 1e-4 * np.abs(K).max()
@@ -193,7 +193,7 @@ RADIUS, LENGTH, TWIST = 10.0, 20.0, 0.03  # mm, mm, rad/mm: 0.6 rad from end to 
 
 
 def rod(n):
-    """A round rod: a disc cut n times, 2^n layers; middles on the surface lie on it."""
+    """Return a circular rod: a disc refined n times with 2^n layers; midpoints on the surface lie on it."""
     disc = skfem.MeshTri.init_circle(n)
     points, tetrahedra = prisms((RADIUS * disc.p.T, disc.t.T), np.linspace(0, LENGTH, 2**n + 1))
     nodes, cells = with_middles(points, tetrahedra)
@@ -206,18 +206,18 @@ def rod(n):
 
 
 def twisted(X):
-    """Each plane turned as a whole by TWIST times its height: the exact shape of an incompressible rod."""
+    """Return the exact shape of an incompressible rod: each plane is rotated by TWIST times its height."""
     c, s = np.cos(TWIST * X[:, 2]), np.sin(TWIST * X[:, 2])
     return np.column_stack([c * X[:, 0] - s * X[:, 1], s * X[:, 0] + c * X[:, 1], X[:, 2]])
 
 
 def torsion(n):
-    """Ends turned as in the exact shape: moment and normal force over the exact ones, and the largest error of x [mm]."""
+    """Rotate the ends; return moment and normal force relative to the exact ones, and the largest position error [mm]."""
     space = rod(n)
     X = space.positions
     ends = (np.abs(X[:, 2]) < 1e-9) | (np.abs(X[:, 2] - LENGTH) < 1e-9)
     body = body_of(space, NeoHookean(MU, KAPPA), fixed=np.flatnonzero(ends))
-    x, _ = Equilibrium(1e-8).loaded(body, X, np.zeros(3), held_at=twisted(X))
+    x, _ = Equilibrium(1e-8).loaded(body, X, np.zeros(3), prescribed_positions=twisted(X))
     top = np.abs(X[:, 2] - LENGTH) < 1e-9
     f = body.residual(X, x, np.zeros(3))[top]
     moment = np.sum(x[top, 0] * f[:, 1] - x[top, 1] * f[:, 0])
@@ -237,7 +237,7 @@ def torsion(n):
     ],
 )
 def test_torsion(n, moment, force, error):
-    """Moment and normal force over pi/2 mu t R^4 and -pi/4 mu t^2 R^4 (Rivlin), and the largest error of position [mm]."""
+    """Moment pi/2 mu t R^4 and normal force -pi/4 mu t^2 R^4 (Rivlin), and the largest error of position [mm]."""
     found = torsion(n)
     assert found[0] - 1.0 == pytest.approx(moment, rel=0.02)
     assert found[1] - 1.0 == pytest.approx(force, rel=0.02)
@@ -251,7 +251,7 @@ COOK_MU, COOK_KAPPA, COOK_LOAD = 80.1938, 400889.8, 100.0
 
 
 def cook(n):
-    """The tapered panel 48 x 44 to 16, 1 thick, between two smooth walls (plane strain), n cells a side."""
+    """Return the tapered panel 48 x 44 to 16, 1 thick, between two smooth walls (plane strain), with n cells per side."""
     mesh = skfem.MeshTet.init_tensor(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1), np.linspace(0, 1, 2))
 
     def where(p):
@@ -271,23 +271,23 @@ def cook(n):
     load = np.zeros_like(X)
     np.add.at(
         load[:, 1], end[:, 3:], (COOK_LOAD / 16.0 * area / 3.0)[:, None]
-    )  # of a flat P2 face: a third to each middle
+    )  # load on a flat P2 face: a third on each midpoint
     corner = np.flatnonzero((np.abs(X - [48.0, 60.0, 0.0]) < 1e-9).all(axis=1))[0]
     return body, load, corner
 
 
 def cook_linear(n):
-    """Rise of the upper corner in the linear limit."""
+    """Return the vertical displacement of the upper corner in linear elasticity."""
     body, load, corner = cook(n)
-    X = body.frame.space.positions
+    X = body.discretization.space.positions
     x, _ = converged(body, X, 1e-6 * load, steps=3)
     return 1e6 * (x - X)[corner, 1]
 
 
 def cook_large(n):
-    """Rise of the upper corner under the load, and the norms of the last step; so small that none meets a singular tangent."""
+    """Return the displacement of the upper corner and the last residual norms; load steps avoid singular tangents."""
     body, load, corner = cook(n)
-    X = x = body.frame.space.positions
+    X = x = body.discretization.space.positions
     for share in np.arange(1, 17) / 16.0:
         x, norms = converged(body, x, share * load)
     return (x - X)[corner, 1], norms
@@ -298,7 +298,7 @@ RISES = {2: (4.659, 4.192), 4: (6.758, 5.881), 8: (7.559, 6.533)}
 
 @pytest.mark.parametrize("n", [2, pytest.param(4, marks=pytest.mark.slow), pytest.param(8, marks=pytest.mark.slow)])
 def test_cook(n):
-    """What this code gives, so that the table stays true; linear limit, and large displacements."""
+    """Compare with values of this code, so that the table stays correct; linear elasticity and large displacements."""
     assert cook_linear(n) == pytest.approx(RISES[n][0], abs=1e-3)
     rise, norms = cook_large(n)
     assert rise == pytest.approx(RISES[n][1], abs=1e-3)

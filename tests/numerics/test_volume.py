@@ -1,4 +1,4 @@
-"""Voxels whose axes lead elsewhere than the file says."""
+"""Volumes with axes in other directions than LPS."""
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ def test_lps_stays():
 
 @pytest.mark.parametrize("axes", AXES)
 def test_a_value_is_found_where_its_point_went(axes):
-    """A voxel at x, y, z of the file lies, by hand, at the components that the letters name, R, A and I negative."""
+    """A voxel at x, y, z of the file has the components that the letters name; R, A and I are negative."""
     turned = SOME.from_axes(axes)
     x, y, z = SOME.position(np.array([1, 2, 1]))
     place = np.zeros(3)

@@ -1,4 +1,4 @@
-"""Outlines and wounds of known shape: every expected number is by hand."""
+"""Outlines and wounds of known shape; every expected number is by hand."""
 
 import numpy as np
 import pytest
@@ -27,14 +27,14 @@ def test_signed_distance():
 
 
 def test_dent_depth():
-    """A square with one side pushed in by 3 at its middle."""
+    """One side of a square is pushed in by 3 at its middle."""
     dented = np.insert(SQUARE, 3, [5.0, 7.0], axis=0)
     assert dent_depth(dented) == pytest.approx(3)
     assert dent_depth(SQUARE) == pytest.approx(0, abs=1e-12)
 
 
 def test_a_circle_that_shrinks():
-    """By 2 of 30: the skin is 2 inside everywhere, the area is (28/30)^2, the nipple has moved by 2."""
+    """A radius of 30 shrinks by 2: the skin is 2 inside everywhere, the area ratio is (28/30)^2, the nipple has moved by 2."""
     before, after = circle(30.0), circle(28.0)
     change = compare(before, after, np.ones(len(before), bool), 0)
     assert change.surface_retraction_max_mm == pytest.approx(2, abs=2e-3)
@@ -63,7 +63,7 @@ def test_a_shift_along_the_normal_counts_for_the_nipple_only():
 
 
 def test_the_chest_wall_does_not_count_as_skin():
-    """One half moves inward by 2 and is wall: no retraction. The same half as skin: max 2, rms over all sqrt(1/2) 2."""
+    """One half moves inward by 2: no retraction if it is wall; if it is skin, maximum 2 and rms over all sqrt(1/2) 2."""
     before = circle(30.0)
     left = before[:, 0] < 0
     after = np.where(left[:, None], before * 28 / 30, before)
@@ -80,11 +80,11 @@ POINTS = LATTICE.positions()
 CENTRE = LATTICE.nearest(np.zeros(2))
 ORIGIN = LATTICE.position(CENTRE)
 FROM = POINTS - ORIGIN
-DISC = (FROM**2).sum(axis=-1) < 4.001  # no site on the border itself
+DISC = (FROM**2).sum(axis=-1) < 4.001  # no site lies on the border
 
 
 def test_disc():
-    """Radius 2: area 4 pi, perimeter 4 pi, point-symmetric, round."""
+    """A disc of radius 2: area 4 pi, perimeter 4 pi, point-symmetric, round."""
     assert closure.open_size(LATTICE, DISC) == pytest.approx(4 * np.pi, rel=0.01)
     assert closure.front_size(LATTICE, DISC, ~DISC) == pytest.approx(4 * np.pi, rel=0.02)
     assert (closure.wound_centre(DISC) == CENTRE).all()
@@ -93,14 +93,14 @@ def test_disc():
 
 
 def test_half_disc():
-    """What lies on one side of its centre is covered nowhere by its mirror image; its centroid is at 4 R / (3 pi)."""
+    """A half-disc on one side of its centre does not overlap with its mirror image; its centroid is at 4 R / (3 pi)."""
     half = DISC & (FROM[..., 0] > 0.01)
     assert closure.asymmetry(half, CENTRE) == 1
     np.testing.assert_allclose(closure.centroid_shift(LATTICE, half, DISC), [8 / (3 * np.pi), 0.0], atol=0.03)
 
 
 def test_a_disc_beside_its_centre():
-    """Of a disc shifted by R, the mirror image (shifted by -R) covers the lens of two discs 2 R apart: nothing."""
+    """A disc shifted by R and its mirror image (shifted by -R) overlap in the lens of two discs 2 R apart, which is empty."""
     beside = ((FROM - [1.5, 0.0]) ** 2).sum(axis=-1) < 1.0
     assert closure.asymmetry(beside, CENTRE) == 1
     # radius 1 shifted by 0.25: lens of two discs 0.5 apart, 2 acos(1/4) - sqrt(15)/8 over pi
@@ -135,7 +135,7 @@ BLOCK = Lattice.covering((-2.4, -2.4, -2.4), (2.4, 2.4, 2.4), 0.08)
 
 
 def test_a_ball():
-    """Radius 2: volume and surface by hand, the surface as the mean over all directions."""
+    """A ball of radius 2: volume and surface by hand, the surface as the mean over all directions."""
     centre = BLOCK.nearest(np.zeros(3))
     ball = np.linalg.norm(BLOCK.positions() - BLOCK.position(centre), axis=-1) < 2.0 - 1e-9
     assert closure.open_size(BLOCK, ball) == pytest.approx(4 / 3 * np.pi * 8, rel=0.005)
@@ -146,7 +146,7 @@ def test_a_ball():
 
 
 def test_a_slab_in_the_densest_plane():
-    """Where the first index steps, each site has three of its twelve neighbours across: by hand sqrt(2/3) of the mean."""
+    """Normal to the first index, each site has three of its twelve neighbours across: by hand sqrt(2/3) of the mean."""
     lattice = Lattice((40, 40, 40), 0.1, (0.0, 0.0, 0.0))
     below, above = np.zeros((2, *lattice.shape), bool)
     below[10:20, 5:35, 5:35] = above[20:, 5:35, 5:35] = True

@@ -1,4 +1,4 @@
-"""Surfaces of known shape: every expected number is by hand."""
+"""Surfaces of known shape; every expected number is by hand."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ CUBE_TRIANGLES = np.array([t for a, b, c, d in SIDES for t in ((a, b, c), (a, c,
 
 @pytest.fixture(scope="module")
 def ball():
-    """Points on a sphere of radius 30, triangles seen from outside."""
+    """Return points on a sphere of radius 30 and outward triangles."""
     nodes, tetrahedra = bcc_lattice(np.full(3, -1.0), np.full(3, 1.0), 0.2)
     faces = boundary(tetrahedra)
     used, faces = np.unique(faces, return_inverse=True)
@@ -24,7 +24,7 @@ def ball():
 
 
 def brute_force(points, surface):
-    """Least distance to a dense sample of the triangles."""
+    """Return the smallest distance to a dense sample of the triangles."""
     i, j = np.mgrid[:21, :21]
     keep = i + j <= 20
     w = np.stack([i[keep], j[keep], 20 - i[keep] - j[keep]], axis=-1) / 20
@@ -42,7 +42,7 @@ def test_a_cube():
 
 
 def test_the_nearest_place_is_the_nearest(ball):
-    """Against a dense sample of the triangles, of which some are ten times larger than others."""
+    """Compare with a dense sample of the triangles, some of which are ten times larger than others."""
     points, triangles = ball
     surface = Surface(points * np.array([1.0, 0.2, 3.0]), triangles)
     some = np.random.default_rng(0).uniform(-1, 1, (60, 3)) * np.array([40.0, 10.0, 110.0])
@@ -53,7 +53,7 @@ def test_the_nearest_place_is_the_nearest(ball):
 
 
 def test_the_side_is_right(ball):
-    """An ellipsoid: x^2 / a^2 + ... < 1, away from the surface."""
+    """Inside an ellipsoid x^2 / a^2 + ... < 1, for points away from the surface."""
     points, triangles = ball
     axes = np.array([1.0, 0.2, 3.0])
     some = np.random.default_rng(1).uniform(-1, 1, (2000, 3)) * 30.0 * axes * 1.3
@@ -80,7 +80,7 @@ def test_a_ball_that_swells_retracts_nowhere(ball):
 
 
 def test_a_dimple(ball):
-    """The top pushed in by 4 at its middle: that deep under the hull, and nothing elsewhere."""
+    """The top is pushed in by 4 at its middle: that depth below the hull, and 0 elsewhere."""
     points, triangles = ball
     off = np.degrees(np.arccos(points[:, 2] / 30.0))
     top = int(np.argmin(off))

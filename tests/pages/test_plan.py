@@ -1,4 +1,4 @@
-"""What a resection would take, by closed forms; the case it becomes; and whom the planning page's server answers."""
+"""Measures of a resection in closed form, its case file, and which requests the planning server answers."""
 
 import json
 import os
@@ -20,8 +20,8 @@ from cicatrix.files.pictures import picture
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.volume import Volume
 from cicatrix.kinds.registry import load_case
-from cicatrix.pages.planning import PlanningTable, Wish, save_case
-from cicatrix.pages.server import MOST_BYTES, Planner, PlanServer
+from cicatrix.pages.planning import PlanningTable, ResectionPlan, save_case
+from cicatrix.pages.server import MAX_BYTES, Planner, PlanServer
 
 from .conftest import CENTRE, grid
 
@@ -35,7 +35,7 @@ def table():
 
 @pytest.mark.parametrize("radius", [4.0, 8.0, 13.3])
 def test_a_ball_has_its_volume(table, radius):
-    found = table.measured(Wish(centre_mm=CENTRE, radius_mm=radius))
+    found = table.measured(ResectionPlan(centre_mm=CENTRE, radius_mm=radius))
     assert found["removed_ml"] == pytest.approx(BALL * radius**3 / 1000.0, rel=0.02)
     assert found["breast_ml"] == pytest.approx(41.0**3 / 1000.0)  # voxels of 1 mm from 0 to 40
     assert found["percent"] == pytest.approx(100.0 * BALL * radius**3 / 41.0**3, rel=0.02)
@@ -43,27 +43,27 @@ def test_a_ball_has_its_volume(table, radius):
 
 def test_what_lies_under_the_skin_stays(table):
     """A ball centred 5.5 mm below the surface at -0.5 mm loses the cap that is less than 3 mm deep, x < 2.5 mm."""
-    found = table.measured(Wish(centre_mm=(5.0, 20.0, 20.0), radius_mm=8.0))
+    found = table.measured(ResectionPlan(centre_mm=(5.0, 20.0, 20.0), radius_mm=8.0))
     cap = np.pi * 5.5**2 * (3 * 8.0 - 5.5) / 3.0
     assert found["removed_ml"] == pytest.approx((BALL * 512.0 - cap) / 1000.0, rel=0.03)
     assert found["depth_mm"] == pytest.approx(5.5, abs=0.51)
 
 
 def test_the_margin_is_that_around_the_tumour(table):
-    found = table.measured(Wish(centre_mm=(22.0, 20.0, 20.0), radius_mm=9.0, margin_mm=3.0))
+    found = table.measured(ResectionPlan(centre_mm=(22.0, 20.0, 20.0), radius_mm=9.0, margin_mm=3.0))
     assert found["margin_mm"] == pytest.approx(9.0 - 2.0 - 5.0, abs=1.0)  # 2 mm off a tumour of 5 mm, in voxels of 1
     assert any("3 mm are wanted" in words for words in found["warnings"])
 
 
 @pytest.mark.parametrize(
-    ("wish", "says"),
+    ("plan", "says"),
     [
         ({"centre_mm": (1.0, 20.0, 20.0)}, "at least 3 mm inside"),
         ({"centre_mm": CENTRE, "radius_mm": 25.0}, "largest ball"),
     ],
 )
-def test_what_cannot_be_run_is_said(table, wish, says):
-    assert any(says in words for words in table.measured(Wish(**wish))["warnings"])
+def test_what_cannot_be_run_is_said(table, plan, says):
+    assert any(says in words for words in table.measured(ResectionPlan(**plan))["warnings"])
 
 
 def test_it_starts_at_the_tumour_or_deepest_inside(table):
@@ -74,8 +74,10 @@ def test_it_starts_at_the_tumour_or_deepest_inside(table):
 
 @pytest.mark.parametrize("dimension", [2, 3])
 def test_the_case_says_what_was_wished(table, tmp_path, dimension):
-    wish = Wish(centre_mm=(42.004, -80.0, 12.0), radius_mm=9.5, dimension=dimension, model="fields", mode="one-way")
-    case = load_case(save_case(table, wish, tmp_path))
+    plan = ResectionPlan(
+        centre_mm=(42.004, -80.0, 12.0), radius_mm=9.5, dimension=dimension, model="fields", mode="one-way"
+    )
+    case = load_case(save_case(table, plan, tmp_path))
     assert (case.dimension, case.healing.model, case.coupling.mode) == (dimension, "fields", "one-way")
     assert (case.resection.centre_mm, case.resection.radius_mm) == ((42.0, -80.0, 12.0), 9.5)
 
@@ -85,21 +87,21 @@ def test_the_image_is_found_from_where_the_case_lies(tmp_path):
     write_volume(tmp_path / "images" / "labels.nii.gz", grid())
     write_volume(tmp_path / "images" / "breast.nii.gz", grid())
     made = build_table(tmp_path / "images" / "breast.nii.gz", tmp_path / "images" / "labels.nii.gz")
-    path = save_case(made, Wish(centre_mm=CENTRE), tmp_path / "out")
+    path = save_case(made, ResectionPlan(centre_mm=CENTRE), tmp_path / "out")
     assert load_case(path).image.path == (tmp_path / "images" / "breast.nii.gz").resolve()
     assert str(tmp_path) not in path.read_text()
 
 
 def test_another_wish_gets_another_file_and_the_same_keeps_its_own(table, tmp_path):
-    first, second = Wish(centre_mm=CENTRE), Wish(centre_mm=CENTRE, radius_mm=9.0)
-    names = [save_case(table, wish, tmp_path).name for wish in (first, second, first)]
+    first, second = ResectionPlan(centre_mm=CENTRE), ResectionPlan(centre_mm=CENTRE, radius_mm=9.0)
+    names = [save_case(table, plan, tmp_path).name for plan in (first, second, first)]
     assert names == ["plan-1.toml", "plan-2.toml", "plan-1.toml"]
 
 
 def test_a_wish_that_makes_no_case_writes_nothing(tmp_path):
     table = PlanningTable(grid(), grid(), {"phantom": "half-ellipsoid", "side": "middle"}, ())
     with pytest.raises(InputError, match=r"^image\.side"):
-        save_case(table, Wish(centre_mm=CENTRE), tmp_path)
+        save_case(table, ResectionPlan(centre_mm=CENTRE), tmp_path)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -109,11 +111,11 @@ def test_a_wish_that_makes_no_case_writes_nothing(tmp_path):
 )
 def test_what_is_no_wish_is_refused(content):
     with pytest.raises(InputError):
-        Wish.of(content)
+        ResectionPlan.of(content)
 
 
 def test_a_series_of_four_gigabytes_is_thinned_and_says_so():
-    """Voxels that take no memory: every row is the same one."""
+    """The voxels take no memory, because all rows are the same array."""
     huge = Volume(
         np.broadcast_to(np.arange(1400, dtype=np.int16), (1100, 1400, 1400)), (0.3, 0.3, 0.9), (0.0, 0.0, 0.0)
     )
@@ -144,7 +146,7 @@ def server(table, tmp_path_factory):
 
 
 def answer(server, path, content=None, *, method=None, host=None, kind="application/json", **headers):
-    """Status, body and headers of an answer; ``path`` below the secret unless it begins with a slash."""
+    """Return status, body and headers of an answer; ``path`` is below the secret unless it begins with a slash."""
     connection = HTTPConnection("127.0.0.1", server.server_port, timeout=30)
     path = path if path.startswith("/") else f"/{server.token}/{path}"
     connection.putrequest(method or ("GET" if content is None else "POST"), path, skip_host=True)
@@ -183,11 +185,11 @@ def test_its_own_page_is_answered(server):
 def test_a_wrong_token_or_a_second_origin_is_refused(server, strange):
     status, body, _ = answer(server, **strange)
     assert status == 403
-    assert b"alone" in body
+    assert b"only the browser tab" in body
 
 
 def test_a_form_of_another_site_cannot_speak_to_it(server):
-    """A page elsewhere may send plain text without asking first; JSON it may not."""
+    """Another site may send plain text without permission, but not JSON."""
     status, body, _ = answer(server, "start", b'{"centre_mm": [1, 2, 3]}', kind="text/plain")
     assert (status, json.loads(body)) == (422, {"error": "a request must be JSON"})
 
@@ -214,9 +216,9 @@ def test_no_file_outside_is_served(server, path):
     [
         ("measure", b"{", 422, "must be JSON"),
         ("measure", {"centre_mm": "here"}, 422, "centre_mm"),
-        ("measure", b" " * (MOST_BYTES + 1), 422, "shorter"),
+        ("measure", b" " * (MAX_BYTES + 1), 422, "shorter"),
         ("report", {}, 422, "no run to report on"),
-        ("nothing", {}, 404, "nothing of this name"),
+        ("nothing", {}, 404, "no action of this name"),
     ],
 )
 def test_faults_are_told_in_a_sentence(server, path, content, status, says):
@@ -234,9 +236,9 @@ def test_progress_before_any_run(server):
 
 
 def test_a_run_that_is_refused_says_why(server):
-    """The centre lies outside the breast: the case is a case, and the run says what is wrong."""
-    wish = {"centre_mm": [-300.0, 0.0, 0.0]}
-    assert answer(server, "start", wish)[0] == 200
+    """The centre lies outside the breast: the case is valid, and the run reports the fault."""
+    plan = {"centre_mm": [-300.0, 0.0, 0.0]}
+    assert answer(server, "start", plan)[0] == 200
     server.planner.job._process.wait(120)
     found = json.loads(answer(server, "progress", {})[1])
     assert found["state"] == "failed"
@@ -265,7 +267,7 @@ def test_the_verb_serves_until_it_is_interrupted(tmp_path):
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=dict(os.environ))
     assert process.stdout is not None
     assert process.stdout.readline().startswith("planning page: http://127.0.0.1:")
-    process.send_signal(signal.SIGTERM)  # which main takes as Ctrl-C; a shell's background job would not hear SIGINT
+    process.send_signal(signal.SIGTERM)  # main treats it like Ctrl-C; a background job of a shell would ignore SIGINT
     _, said = process.communicate(timeout=60)
     assert process.returncode == 130
     assert "the planning page is closed" in said

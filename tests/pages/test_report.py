@@ -1,4 +1,4 @@
-"""What reports say, of whole runs and of broken ones: every number by hand from the runs of conftest."""
+"""Contents of reports, for complete and for damaged runs; the numbers follow by hand from the runs of conftest."""
 
 import base64
 import csv
@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 from cicatrix.cli.main import main
 from cicatrix.core.errors import InputError
 from cicatrix.files.images import read_image, read_labels
-from cicatrix.pages.account import read_account
 from cicatrix.pages.bodies import scene, shapes_of
 from cicatrix.pages.checks import checks_of
 from cicatrix.pages.cosmesis import lines_of
 from cicatrix.pages.curves import words
 from cicatrix.pages.packing import packed
 from cicatrix.pages.report import write_comparison, write_report
+from cicatrix.pages.run_view import read_run_view
 from cicatrix.pages.slices import EXCISED, MARGIN, zones
 from cicatrix.runs.results import RunFolder
 
@@ -30,13 +30,13 @@ KIND = {"f4": "<f4", "i4": "<i4", "u1": "u1"}
 
 
 def unpacked(array):
-    """As the page does it."""
+    """Unpack an array like the page does."""
     raw = gzip.decompress(base64.b64decode(array["gzip"]))
     return np.frombuffer(raw, KIND[array["type"]]).reshape(array["shape"])
 
 
 def content(path):
-    """What a data script puts: its letter, name and content."""
+    """Return letter, name and content of a data script."""
     text = path.read_text(encoding="ascii")
     return json.loads("[" + re.fullmatch(r"cicatrixPut\((.*)\);\n", text, re.S)[1] + "]")
 
@@ -54,8 +54,8 @@ def test_equal_arrays_give_equal_bytes():
 
 @pytest.mark.parametrize(("name", "n_faces"), [("plane", 200), ("solid", 6 * 200)])
 def test_bodies_are_those_of_the_run(runs, name, n_faces):
-    account = read_account(runs / name)
-    drawn = scene(shapes_of(account), account)
+    view = read_run_view(runs / name)
+    drawn = scene(shapes_of(view), view)
     assert [(s["position"], s["label"]) for s in drawn["shapes"]] == [
         (position, label)
         for position in ("upright", "supine")
@@ -74,9 +74,9 @@ def test_bodies_are_those_of_the_run(runs, name, n_faces):
 
 
 def test_a_cut_body_shows_the_hole_and_its_walls(runs):
-    account = read_account(runs / "solid")
-    shapes = {(s.position, s.label): s for s in shapes_of(account)}
-    drawn = {(s["position"], s["label"]): s for s in scene(shapes_of(account), account)["shapes"]}
+    view = read_run_view(runs / "solid")
+    shapes = {(s.position, s.label): s for s in shapes_of(view)}
+    drawn = {(s["position"], s["label"]): s for s in scene(shapes_of(view), view)["shapes"]}
     before = shapes["upright", "before surgery"]
     middle = before.points[before.cells[before.cavity]][..., 0].mean()
     areas, volumes = [], []
@@ -90,7 +90,7 @@ def test_a_cut_body_shows_the_hole_and_its_walls(runs):
     assert volumes[0] == pytest.approx(SIDE**2 * middle, rel=1e-5)
     cavity = tetrahedra_volume(shapes["upright", "after surgery"], shapes["upright", "after surgery"].cavity)
     assert volumes[0] - volumes[1] == pytest.approx(cavity / 2, rel=0.01)  # the plane goes through its middle
-    assert areas[1] > areas[0] + RADIUS**2  # a half ball's wall has twice the area of its disc
+    assert areas[1] > areas[0] + RADIUS**2  # the wall of a half ball has twice the area of its disc
 
 
 def tetrahedra_volume(shape, chosen):
@@ -99,30 +99,30 @@ def tetrahedra_volume(shape, chosen):
 
 
 def test_numbers_of_the_table_are_those_of_the_run(runs):
-    account = read_account(runs / "solid")
-    shapes = shapes_of(account)
-    lines = {line.name: line for line in lines_of(account, shapes)}
+    view = read_run_view(runs / "solid")
+    shapes = shapes_of(view)
+    lines = {line.name: line for line in lines_of(view, shapes)}
     removed = tetrahedra_volume(shapes[0], shapes[0].cavity)
     assert lines["Volume removed"].value == f"{removed / 1000:.1f} ml"
     assert lines["Share of the breast"].value == f"{100 * removed / SIDE**3:.1f} %"
     assert lines["Cavity closed after"].value == "40 days"
     assert lines["Change of volume, standing"].value == "-3.2 %"
-    assert lines["Nipple has moved, lying on the back"].sentence == (
+    assert lines["Displacement of the nipple, lying on the back"].sentence == (
         "Healed, lying on the back, the nipple is 4.5 mm from where it was before surgery."
     )
 
 
 def test_checks_see_what_is_lost_and_what_is_turned(runs, copy_of):
-    account = read_account(runs / "solid")
-    shapes = shapes_of(account)
-    assert all(check.holds is not False for check in checks_of(account, shapes))
+    view = read_run_view(runs / "solid")
+    shapes = shapes_of(view)
+    assert all(check.holds is not False for check in checks_of(view, shapes))
     shapes[1].points[:, 0] *= -1.0  # a mirror image: every element is inside out
-    (turned,) = (c for c in checks_of(account, shapes) if c.name.startswith("elements turned"))
+    (turned,) = (c for c in checks_of(view, shapes) if c.name.startswith("inverted elements"))
     assert not turned.holds
     folder = copy_of("solid")
     table = (folder / "history.csv").read_text(encoding="utf-8").replace("2000.0", "9000.0")
     (folder / "history.csv").write_text(table)
-    (drift,) = (c for c in checks_of(read_account(folder), []) if c.name.startswith("open cavity"))
+    (drift,) = (c for c in checks_of(read_run_view(folder), []) if c.name.startswith("open cavity"))
     assert not drift.holds
 
 
@@ -172,7 +172,7 @@ def test_the_pdf_has_the_numbers_and_every_figure(copy_of, tmp_path):
         (lambda f: (f / "outcome.json").unlink(), ["There are no numbers yet"]),
         (lambda f: (f / "outcome.json").write_text("{"), ["outcome.json or history.csv is damaged"]),
         (lambda f: (f / "history.csv").unlink(), ["There is no history yet"]),
-        (lambda f: (f / "picture.nii.gz").unlink(), ["picture.nii.gz is not there; the slices show labels alone"]),
+        (lambda f: (f / "picture.nii.gz").unlink(), ["picture.nii.gz is missing; the slices show only the labels"]),
         (lambda f: (f / "labels.nii.gz").write_bytes(b"no"), ["The slices show no labels"]),
         (lambda f: (f / "shapes" / "supine-0002.vtu").write_text("<VTKFile"), ["The bodies cannot be read"]),
         (lambda f: (f / "shapes" / "series.pvd").unlink(), ["There are no bodies yet"]),
@@ -235,7 +235,7 @@ def test_a_folder_that_is_no_run_is_refused_in_one_sentence(tmp_path, capsys, pr
 def test_nothing_but_a_report_is_replaced(runs, tmp_path):
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "thesis.tex").write_text("years of work")
-    with pytest.raises(InputError, match="something else than a report"):
+    with pytest.raises(InputError, match="something other than a report"):
         write_report(runs / "plane", tmp_path / "out")
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     assert (tmp_path / "out" / "thesis.tex").read_text(encoding="utf-8") == "years of work"
@@ -292,6 +292,27 @@ def test_identifiers_of_dicom_never_appear(tmp_path):
     )
 
 
+@pytest.mark.parametrize(
+    ("kind", "deposition", "is_said"),
+    [
+        ("lumpectomy", None, True),
+        ("lumpectomy", "unloaded", True),
+        ("lumpectomy", "loaded", False),
+        ("wound", None, False),
+    ],
+)
+def test_the_report_says_in_its_first_lines_what_the_healed_shape_assumes(copy_of, tmp_path, kind, deposition, is_said):
+    folder = copy_of("plane")
+    manifest = json.loads((folder / "manifest.json").read_text(encoding="utf-8"))
+    manifest["case"] |= {"kind": kind} | ({"healing": {"deposition": deposition}} if deposition else {})
+    (folder / "manifest.json").write_text(json.dumps(manifest))
+    write_report(folder, tmp_path / "report")
+    for name in ("index.html", "research.html"):
+        head = (tmp_path / "report" / name).read_text(encoding="utf-8").partition("<section")[0]
+        assert ("keeps the volume of the hole by assumption" in head) == is_said
+        assert ("not a prediction of the cosmetic result" in head) == is_said
+
+
 def test_runs_are_compared(runs, tmp_path):
     page = write_comparison([runs / "solid", runs / "other", runs / "stopped"], tmp_path / "side").read_text(
         encoding="utf-8"
@@ -307,7 +328,7 @@ def test_runs_are_compared(runs, tmp_path):
 def test_too_many_runs_and_the_same_twice_are_refused(runs, tmp_path, capsys):
     many = [str(runs / "solid")] * 2
     assert main(["report", *many, "--out", str(tmp_path / "side")]) == 2
-    assert "named twice" in capsys.readouterr().err
+    assert "given twice" in capsys.readouterr().err
     with pytest.raises(InputError, match="8 at most"):
         write_comparison([runs / "solid"] * 9, tmp_path / "side")
 
@@ -343,7 +364,7 @@ def test_a_manifest_that_lacks_tables_gives_a_page_all_the_same(copy_of, tmp_pat
         manifest.pop(key, None)
     (folder / "manifest.json").write_text(json.dumps(manifest))
     page = write_report(folder, tmp_path / "report").read_text(encoding="utf-8")
-    assert "does not tell where the resection lies" in page
+    assert "does not say where the resection lies" in page
 
 
 def test_an_open_wound_is_not_called_healed(copy_of, tmp_path):
@@ -352,7 +373,7 @@ def test_an_open_wound_is_not_called_healed(copy_of, tmp_path):
     outcome["time_to_closure_days"]["value"] = None
     (folder / "outcome.json").write_text(json.dumps(outcome))
     page = write_report(folder, tmp_path / "report").read_text(encoding="utf-8")
-    assert "At the last visit, the cavity still open, standing, the nipple is 4.5 mm" in page
+    assert "At the last visit, with the cavity still open, standing, the nipple is 4.5 mm" in page
     labels = {s["label"] for s in content(tmp_path / "report" / "data" / "body.js")[2]["shapes"]}
     assert labels == {"before surgery", "after surgery", "week 2", "week 6"}
 

@@ -1,4 +1,4 @@
-"""A law with history that is simple enough to integrate by hand, for tests of what drives laws."""
+"""A law with history that can be integrated by hand, for tests of code that advances laws."""
 
 import jax.numpy as jnp
 from jax import Array

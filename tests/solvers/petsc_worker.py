@@ -1,4 +1,4 @@
-"""What the ranks of test_petsc.py do: started by mpiexec, or alone; the first rank leaves what it found in a file."""
+"""Program for the ranks of test_petsc.py, started by mpiexec or alone; the first rank writes the results to a file."""
 
 import sys
 
@@ -24,7 +24,7 @@ N = 30  # blocks of the matrices
 
 
 def breast(nu=0.49):
-    """A breast of 256 tetrahedra on its base, one half stiffer."""
+    """Return a breast of 256 tetrahedra on its base, one half stiffer."""
     ball = skfem.MeshTet.init_ball(2)
     points, tetrahedra = used_only(ball.p.T * SEMI_AXES, ball.t.T[ball.p[2][ball.t].mean(axis=0) > 0])
     tetrahedra = oriented(points, tetrahedra)
@@ -34,8 +34,8 @@ def breast(nu=0.49):
 
 
 def shapes(body, on=None):
-    """Loaded and unloaded positions, and the energies of the first."""
-    X, solver = body.frame.space.positions, Equilibrium(TOLERANCE, on=on)
+    """Return loaded and unloaded positions, and the energies of the loaded shape."""
+    X, solver = body.discretization.space.positions, Equilibrium(TOLERANCE, on=on)
     x, _ = solver.loaded(body, X, GRAVITY)
     up, _ = solver.unloaded(body, X, 0.25 * GRAVITY)
     return {"loaded": x, "unloaded": up, "energy": body.strain_energy(X, x), "potential": body.potential(X, x, GRAVITY)}
@@ -45,32 +45,32 @@ def shared_shapes():
     out = {}
     for method in METHODS:
         part = shared(breast(), world())
-        found = shapes(part, PetscEngine(layout_of(part.frame), method))
+        found = shapes(part, PetscEngine(layout_of(part.discretization), method))
         out |= {f"{method} {name}": value for name, value in found.items()}
     return out
 
 
 def downhill():
-    """The fallback: from rest, by damped Newton, with an element that no tissue fills."""
+    """Test the fallback, damped Newton from the unloaded shape, with an element without tissue."""
     whole = breast()
     fraction = whole.fraction.copy()
     fraction[::50] = 0.0
     body = shared(whole.with_tissue(whole.law, whole.density, fraction), world())
-    found = Downhill(1e-8, on=PetscEngine(layout_of(body.frame))).loaded(
-        body, body.frame.space.positions, 0.3 * GRAVITY
+    found = Downhill(1e-8, on=PetscEngine(layout_of(body.discretization))).loaded(
+        body, body.discretization.space.positions, 0.3 * GRAVITY
     )[0]
     return {"found": found}
 
 
 class Downhill(Equilibrium):
-    """Tries nothing but the last resort."""
+    """Equilibrium that uses only the last fallback."""
 
     def _newton(self, problem, report):
         raise ConvergenceError("not tried", ["not tried"])
 
 
 def matrices():
-    """Symmetric positive definite, with negative eigenvalues, not symmetric, singular; the last gets a NaN (90, 90)."""
+    """Return matrices that are definite, indefinite, unsymmetric and singular; the last gets a NaN (90, 90)."""
     rng = np.random.default_rng(0)
     A = sp.random(3 * N, 3 * N, 0.1, random_state=1).toarray()
     definite = A @ A.T + 0.5 * np.eye(3 * N)
@@ -86,7 +86,7 @@ def matrices():
 
 
 def blocks(matrix):
-    """This rank's share; all ranks have the whole pattern."""
+    """Return the blocks of this rank; all ranks have the whole pattern."""
     ranks = world()
     share = (ranks.rank + 1) / sum(range(1, ranks.size + 1))
     data = (share * matrix).reshape(N, 3, N, 3).transpose(0, 2, 1, 3).reshape(-1, 3, 3).copy()
@@ -94,7 +94,7 @@ def blocks(matrix):
 
 
 def systems():
-    """For each matrix and method the solution, whether it was found definite, and what was refused."""
+    """Return for each matrix and method the solution, whether it was found definite, and what was refused."""
     ranks, rhs, out = world(), np.linspace(-1.0, 1.0, 3 * N), {}
     positions = np.random.default_rng(2).standard_normal((N, 3))
     layout = Layout(ranks, np.random.default_rng(1).integers(0, ranks.size, N), positions)
@@ -111,12 +111,12 @@ def systems():
                 continue
             out[f"{method} {name} is definite"] = name != "general" and solver.is_definite(whole)
             other = LinearSolver(on=PetscEngine(layout, method))
-            other.restore(whole, solver.kept())
+            other.restore(whole, solver.state_arrays())
             other_matrix = blocks(1.01 * matrix)
             again = [which.solve(other_matrix, rhs, 1e-12, near) for which in (solver, other)]
             out[f"{method} {name} again"], out[f"{method} {name} restored"] = again
             for which in (solver, other):
-                which.forget()
+                which.reset()
     return out
 
 

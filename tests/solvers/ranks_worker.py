@@ -1,4 +1,4 @@
-"""What the ranks of test_ranks.py do: started by mpiexec, ends with a line of JSON by the first rank."""
+"""Program for the ranks of test_ranks.py, started by mpiexec; the first rank ends with a line of JSON."""
 
 import hashlib
 import json
@@ -15,16 +15,17 @@ from cicatrix.core.errors import InvariantError
 from cicatrix.core.ranks import world
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton, AutomatonRules, NativeCore
-from cicatrix.healing.model import Cue
+from cicatrix.healing.cue import Cue
 from cicatrix.runs.progress import Progress
 
 N_STEPS = 5
-BESIDE = 678  # edge division fills a site in the last tile of a halo, which motility then frees
-FAR = 268  # daughters settle many hops before the front, in tiles that motility does not touch
+N_LARGE = 4  # at the end of the cases
+BESIDE = 678  # a case: edge division fills a site in the last tile of a halo, and motility empties it again
+FAR = 268  # a case: daughters settle many hops ahead of the front, in tiles that motility does not change
 
 
 def large_case(i):
-    """A front of many shares; in 2-D with masks and more divisions than there is room for, and a ball."""
+    """Return large fronts: 2-D lattices with masks and more divisions than empty sites, and a ball."""
     shape, radius = [((300, 400), 120), ((260, 300), 100), ((60, 60, 80), 22), ((500, 90), 40)][i]
     lattice = Lattice(shape, 0.01, (0.0,) * len(shape))
     fillable = np.random.default_rng(i).random(shape) >= (0.05 if i == 1 else 0.0)
@@ -36,7 +37,7 @@ def large_case(i):
 
 
 def smooth_case(i):
-    """More sub-steps than the layer is deep: densities reach further than anything else; a flat step of very many."""
+    """More sub-steps than the depth of the layer, so densities extend furthest; and a plane step with very many sub-steps."""
     shape, radius, n_substeps, layer = [((260, 300), 90, 16, 0), ((260, 300), 90, 60, 1), ((256, 141), 40, 300, 3)][i]
     lattice = Lattice(shape, 0.01, (0.0,) * len(shape))
     open0 = np.linalg.norm(lattice.positions() - lattice.position(np.array(shape) / 2), axis=-1) < 0.01 * radius
@@ -46,8 +47,13 @@ def smooth_case(i):
 
 CASES = [
     *(lambda i=i: random_case(i) for i in (*range(24), FAR, BESIDE)),
-    *(lambda i=i: large_case(i) for i in range(4)),
+    *(lambda i=i: large_case(i) for i in range(N_LARGE)),
 ]
+
+
+def chosen(of_cases, every):
+    """Return every so manieth of the random cases, and the large ones."""
+    return of_cases[:-N_LARGE:every] + of_cases[-N_LARGE:]
 
 
 def core_of(automaton, ranks=None):
@@ -64,10 +70,10 @@ def core_of(automaton, ranks=None):
     )
 
 
-def digests(ranks=None):
-    """For each case a digest of all counts and cells, and how many ranks shared each step."""
+def digests(ranks=None, every=1):
+    """Return for each case a digest of all counts and cells, and how many ranks shared each step."""
     out = []
-    for make in CASES:
+    for make in chosen(CASES, every):
         automaton, cue = make()
         core, digest, shared = core_of(automaton, ranks), hashlib.sha256(), []
         for _ in range(N_STEPS):
@@ -78,15 +84,15 @@ def digests(ranks=None):
     return out
 
 
-def all_digests():
+def all_digests(every):
     ranks = world()
-    mine = digests(ranks)
+    mine = digests(ranks, int(every))
     everyone = [json.loads(other) for other in ranks.gather(json.dumps(mine).encode())]
     return {"digests": mine, "alike": all(other == everyone[0] for other in everyone)}
 
 
 class Signaller(Progress):
-    """Sends the first rank what Ctrl-C does: when a stage begins, or at a step."""
+    """Progress that sends the first rank the signal of Ctrl-C, when a stage begins or at a step."""
 
     def __init__(self, moment):
         super().__init__()
@@ -112,7 +118,7 @@ def interrupted(path, out, moment):
 
 
 def all_fail(path, out):
-    """Cells are lost in step 5, which all ranks see."""
+    """Run a case in which all ranks raise an InvariantError at step 5."""
     advance = NativeCore.advance
 
     def losing(self, *arguments):
@@ -132,7 +138,12 @@ class Failing:
 
     def __init__(self):
         self.n, ranks = 0, world()
-        self.rank, self.size, self._gather, self.all_or_none = ranks.rank, ranks.size, ranks.gather, ranks.all_or_none
+        self.rank, self.size, self._gather, self.abort_on_error = (
+            ranks.rank,
+            ranks.size,
+            ranks.gather,
+            ranks.abort_on_error,
+        )
 
     def gather(self, mine):
         self.n += 1

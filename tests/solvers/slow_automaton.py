@@ -25,7 +25,7 @@ class SlowStep:
         self.w, self.w_ref = w, w_ref
 
     def word(self, site, phase, i=None):
-        """Word i of the site's own call; without i, the site's word of the call that four sites share."""
+        """Return word i of the site's own call; without i, the site's word of the call that four sites share."""
         number = 0
         for x, n in zip(site, self.shape):
             number = number * n + x

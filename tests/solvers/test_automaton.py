@@ -1,4 +1,4 @@
-"""The automaton: equal to a slow independent one, windows exact, cells conserved, restart, limits."""
+"""The automaton: equal to a slow independent version, exact in a window, cells conserved, resuming, limits."""
 
 import itertools
 
@@ -10,18 +10,18 @@ from cicatrix.core import native
 from cicatrix.core.errors import InputError, InvariantError
 from cicatrix.core.random import ONE
 from cicatrix.geometry.hexgrid import Lattice
-from cicatrix.healing import twin
+from cicatrix.healing import reference
 from cicatrix.healing.automaton import Automaton, AutomatonRules, AutomatonState
-from cicatrix.healing.model import Cue
+from cicatrix.healing.cue import Cue
 from cicatrix.healing.motility import BULK, diffuse
 from cicatrix.healing.window import Window
 
 RULES = AutomatonRules(p_edge=0.2, p_layer=0.05, layer_sites=4, motility_substeps=4)
 
 
-@pytest.fixture(params=["compiled", "twin"], autouse=True)
+@pytest.fixture(params=["compiled", "reference"], autouse=True)
 def core(request, monkeypatch):
-    """Every test for the compiled core and for its NumPy twin."""
+    """Run every test for the compiled automaton and for its NumPy version."""
     if request.param == "compiled" and not native.is_native:
         pytest.skip("the compiled module is not there")
     monkeypatch.setattr(native, "is_native", request.param == "compiled")
@@ -33,7 +33,7 @@ def lattice_of(shape):
 
 
 def discs(shape, centres, radius):
-    """Sites within a radius [sites] of any of the centres [site indices]."""
+    """Return the sites within a radius [sites] of any of the centres [site indices]."""
     lattice = lattice_of(shape)
     points = lattice.positions()
     gaps = [np.linalg.norm(points - lattice.position(np.array(c)), axis=-1) for c in centres]
@@ -41,7 +41,7 @@ def discs(shape, centres, radius):
 
 
 def random_case(i, size2=24, size3=9):
-    """Wounds, masks, rules and cue of all kinds, from a case number; every third one is 3-D."""
+    """Return wounds, masks, rules and cues of all kinds from a case number; every third case is 3-D."""
     rng = np.random.default_rng(i)
     ndim, size = (3, size3) if i % 3 == 2 else (2, size2)
     shape = tuple(int(n) for n in rng.integers(size - 3, size + 1, ndim))
@@ -86,7 +86,7 @@ def test_cells_are_conserved(i):
         state = new
 
 
-@pytest.mark.parametrize("core", ["twin"], indirect=True)
+@pytest.mark.parametrize("core", ["reference"], indirect=True)
 @pytest.mark.parametrize("i", range(24))
 def test_window_equals_full_lattice(i, core, monkeypatch):
     automaton, cue = random_case(i)
@@ -96,7 +96,7 @@ def test_window_equals_full_lattice(i, core, monkeypatch):
     np.testing.assert_array_equal(in_window.occupancy, whole.occupancy)
 
 
-@pytest.mark.parametrize("core", ["twin"], indirect=True)
+@pytest.mark.parametrize("core", ["reference"], indirect=True)
 @pytest.mark.parametrize("redistribution", ["route", "level-set"])
 def test_small_window_of_a_large_lattice_equals_full_lattice(redistribution, core, monkeypatch):
     rules = AutomatonRules(p_edge=0.2, p_layer=0.1, layer_sites=5, redistribution=redistribution, feedback=1.0)
@@ -114,7 +114,7 @@ def test_small_window_of_a_large_lattice_equals_full_lattice(redistribution, cor
 
 
 def test_band_is_widened_when_motility_erases_the_hole():
-    """One hole and very many sub-steps: the field is flat again (U0 = bulk), so only the whole lattice is exact."""
+    """One hole and very many sub-steps: the field is flat again (U0 = bulk), so only the whole lattice gives the exact result."""
     open0 = np.zeros((90, 90), bool)
     open0[45, 45] = True
     rules = AutomatonRules(p_edge=0.0, p_layer=0.0, layer_sites=0, motility_substeps=3000)
@@ -210,7 +210,7 @@ class TestLimits:
         automaton = wound(radius=6, p_edge=1.0, p_layer=1.0, layer_sites=12, redistribution=redistribution)
         state = automaton.advance(automaton.initial_state())
         assert state.n_cells == 3600
-        assert state.n_dropped > 0  # more daughters than free sites: the surplus did not happen
+        assert state.n_dropped > 0  # more daughters than free sites: the surplus is dropped
 
     def test_edge_division_fills_every_site_at_most_once(self):
         automaton = wound(p_edge=1.0, p_layer=0.0, motility_substeps=0)
@@ -265,7 +265,7 @@ class TestLimits:
 
     def test_a_state_with_a_cell_where_none_can_be_is_refused(self):
         automaton = wound(fillable=discs((60, 60), [(30, 30)], 25))
-        with pytest.raises(InputError, match="allows none"):
+        with pytest.raises(InputError, match="not fillable"):
             automaton.advance(AutomatonState(np.ones((60, 60), bool), 0))
 
     def test_steps_are_not_negative(self):
@@ -325,6 +325,6 @@ class TestLimits:
 def test_lost_cells_are_noticed(monkeypatch):
     monkeypatch.setattr(native, "is_native", False)
     automaton = wound()
-    monkeypatch.setattr(twin, "move", lambda window, occupied, *_: (occupied & False, True))
+    monkeypatch.setattr(reference, "move", lambda window, occupied, *_: (occupied & False, True))
     with pytest.raises(InvariantError, match="lost or doubled"):
         automaton.advance(automaton.initial_state())

@@ -1,4 +1,4 @@
-"""The compiled automaton gives the bits of its NumPy twin: every instruction set, any number of threads, any wound."""
+"""The compiled automaton has the bits of its NumPy version: every instruction set, any number of threads, any wound."""
 
 import numpy as np
 import pytest
@@ -7,8 +7,8 @@ from cicatrix.core import native
 from cicatrix.core.errors import InputError
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton, AutomatonRules, AutomatonState, NativeCore, pack_rows, unpack_rows
-from cicatrix.healing.model import Cue
-from cicatrix.healing.twin import TwinCore
+from cicatrix.healing.cue import Cue
+from cicatrix.healing.reference import ReferenceCore
 
 pytestmark = pytest.mark.skipif(not native.is_native, reason="the compiled module is not there")
 
@@ -16,7 +16,7 @@ ONE = np.zeros(1), 1.0
 
 
 def random_case(i, size2=110, size3=34):
-    """Lattices of many blocks: masks, several wounds, wounds at the frame, every rule, cue of both kinds."""
+    """Return lattices of many blocks: masks, several wounds, wounds at the frame, every rule, both kinds of cue."""
     rng = np.random.default_rng(1000 + i)
     ndim, size = (3, size3) if i % 3 == 2 else (2, size2)
     shape = tuple(int(n) for n in rng.integers(size // 3, size + 1, ndim))
@@ -45,21 +45,21 @@ def random_case(i, size2=110, size3=34):
 
 
 def pair(automaton, **kinds):
-    """Compiled core and twin, from the fresh wound."""
+    """Return the compiled and the NumPy automaton for a fresh wound."""
     occupancy = automaton.initial_state().occupancy
     arguments = (automaton.lattice, automaton.fillable, occupancy, automaton.rules, automaton.seed, 0)
-    return NativeCore(*arguments, **kinds), TwinCore(*arguments)
+    return NativeCore(*arguments, **kinds), ReferenceCore(*arguments)
 
 
-def assert_same(core, twin, cue, n_steps):
+def assert_same(core, reference, cue, n_steps):
     for _ in range(n_steps):
-        np.testing.assert_array_equal(core.advance(1, *cue), twin.advance(1, *cue))
-        np.testing.assert_array_equal(core.occupancy(), twin.occupancy())
+        np.testing.assert_array_equal(core.advance(1, *cue), reference.advance(1, *cue))
+        np.testing.assert_array_equal(core.occupancy(), reference.occupancy())
 
 
 @pytest.mark.parametrize("isa", native.instruction_sets())
 @pytest.mark.parametrize("i", range(24))
-def test_every_instruction_set_gives_the_bits_of_the_twin(i, isa):
+def test_every_instruction_set_gives_the_bits_of_the_reference(i, isa):
     automaton, cue = random_case(i)
     assert_same(*pair(automaton, isa=isa), automaton.checked(cue), 6)
 
@@ -67,14 +67,14 @@ def test_every_instruction_set_gives_the_bits_of_the_twin(i, isa):
 @pytest.mark.parametrize("threads", [2, 3])
 @pytest.mark.parametrize("i", range(24))
 def test_threads_do_not_change_a_bit(i, threads):
-    """Pieces of work as small as one tile, so that small lattices are shared out too."""
+    """Work is divided into single tiles, so that threads share small lattices too."""
     automaton, cue = random_case(i)
     assert_same(*pair(automaton, threads=threads, tiles_per_piece=1), automaton.checked(cue), 6)
 
 
 @pytest.mark.parametrize("shape", [(700, 900), (90, 90, 90)])
 def test_threads_share_out_a_large_front(shape):
-    """Enough blocks for several pieces of work at once; one thread is the twin of the others here."""
+    """There are enough blocks for several pieces of work at once; the reference is the result on one thread."""
     lattice = Lattice(shape, 0.01, (0.0,) * len(shape))
     centre = lattice.position(np.array(shape) / 2)
     open0 = np.linalg.norm(lattice.positions() - centre, axis=-1) < 0.01 * 0.35 * min(shape)
@@ -89,22 +89,22 @@ def test_threads_share_out_a_large_front(shape):
 
 @pytest.mark.parametrize("i", range(8))
 def test_a_nearly_closed_wound_closes_alike(i):
-    """The last holes, with islands of cells between them, until nothing is open and beyond."""
+    """Small holes: compare 12 steps, then run the compiled automaton until nothing is open."""
     rng = np.random.default_rng(i)
     shape = (40, 70) if i % 2 else (12, 14, 40)
     lattice = Lattice(shape, 0.01, (0.0,) * len(shape))
     open0 = rng.random(shape) < 0.02
     rules = AutomatonRules(p_edge=0.3, p_layer=0.05, layer_sites=3, motility_substeps=4)
     automaton = Automaton(lattice, np.ones(shape, bool), open0, rules, i)
-    core, twin = pair(automaton)
-    assert_same(core, twin, ONE, 12)
+    core, reference = pair(automaton)
+    assert_same(core, reference, ONE, 12)
     core.advance(300, *ONE)
     assert core.occupancy().all()
 
 
 @pytest.mark.parametrize("kinds", [{}, {"threads": 3, "tiles_per_piece": 1}])
 def test_a_front_that_moves_far_widens_the_band(kinds):
-    """p = 1 fills many rings in one step; very many sub-steps erase a hole: both leave the first band."""
+    """p = 1 fills many rings in one step, and very many sub-steps erase a hole: both go beyond the first band."""
     lattice = Lattice((200, 200), 0.01, (0.0, 0.0))
     open0 = np.linalg.norm(lattice.positions() - lattice.position(np.array([100, 100])), axis=-1) < 0.6
     full = AutomatonRules(p_edge=1.0, p_layer=1.0, layer_sites=30, motility_substeps=2)
@@ -116,14 +116,14 @@ def test_a_front_that_moves_far_widens_the_band(kinds):
 
 
 def test_the_last_step_of_a_wound_stays_in_the_band():
-    """Edge division fills the last sites, U is bulk everywhere: the band is enough, and so it is beyond."""
+    """When edge division fills the last sites, U is bulk everywhere, and the band is wide enough in this step and later."""
     lattice = Lattice((500, 500), 0.01, (0.0, 0.0))
     hole = np.zeros(lattice.shape, bool)
     hole[250:253, 250:253] = True
     rules = AutomatonRules(p_edge=1.0, p_layer=0.1, layer_sites=8, motility_substeps=8)
-    core, twin = pair(Automaton(lattice, np.ones_like(hole), hole, rules, 1))
+    core, reference = pair(Automaton(lattice, np.ones_like(hole), hole, rules, 1))
     for _ in range(20):
-        assert_same(core, twin, ONE, 1)
+        assert_same(core, reference, ONE, 1)
         assert core.work["stored_tiles"] < 200
         if not core.n_open:
             break
@@ -138,8 +138,8 @@ def test_a_pocket_that_no_cell_borders_costs_its_border_only(kinds):
     pocket[103:109, 103:109] = True
     fillable |= pocket
     rules = AutomatonRules(p_edge=0.5, p_layer=0.1, layer_sites=6, motility_substeps=8)
-    core, twin = pair(Automaton(lattice, fillable, pocket, rules, 1), **kinds)
-    assert_same(core, twin, ONE, 3)
+    core, reference = pair(Automaton(lattice, fillable, pocket, rules, 1), **kinds)
+    assert_same(core, reference, ONE, 3)
     assert core.n_open == 36
     assert core.work["stored_tiles"] < 200
 

@@ -1,4 +1,4 @@
-"""How wounds close: where daughters appear, how fast the front moves, how round it stays, what the pitch changes."""
+"""Closure of wounds: where daughters appear, the speed of the front, its roundness, and the effect of the pitch."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import pytest
 from cicatrix.core.errors import InputError
 from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import Automaton, AutomatonRules
-from cicatrix.healing.model import Cue
+from cicatrix.healing.cue import Cue
 from cicatrix.healing.rates import LAYER_UM, P_LAYER, hours_per_step_at_pitch, rules_at_pitch, straight_front_speed
 from cicatrix.outcome import closure
 
@@ -19,7 +19,7 @@ def disc(radius_mm, pitch_mm, rules, seed=1):
 
 
 def open_measures(automaton, n_steps=10_000):
-    """Open area [mm2] after every step, until closure or ``n_steps``."""
+    """Return the open area [mm2] after every step, until closure or ``n_steps``."""
     state, areas = automaton.initial_state(), []
     while len(areas) <= n_steps:
         areas.append((automaton.open0.size - state.n_cells) * automaton.lattice.site_measure)
@@ -30,7 +30,7 @@ def open_measures(automaton, n_steps=10_000):
 
 
 def roundness(automaton, state):
-    """Spread of the radius over 24 sectors, standard deviation / mean; 0 is a circle."""
+    """Return the standard deviation of the radius over 24 sectors relative to its mean; 0 is a circle."""
     points = automaton.lattice.positions()[~state.occupancy]
     points = points - points.mean(axis=0)
     sector = np.floor(np.arctan2(points[:, 1], points[:, 0]) / (2 * np.pi) * 24).astype(int) % 24
@@ -59,7 +59,7 @@ def test_wound_stays_round_without_feedback(seed):
 
 @pytest.mark.parametrize("pitch", [75.0, 100.0])
 def test_a_ball_stays_round_and_keeps_its_time(pitch):
-    """Radius 3 mm, with the default rates: radii of gyration within 6 % at a fifth of its volume, days as at 50 um."""
+    """A ball of 3 mm with default rates: radii of gyration within 6 % at a fifth of its volume; time to closure as at 50 um."""
     lattice = Lattice.covering((-4.9,) * 3, (4.9,) * 3, pitch * 1e-3)
     open0 = np.linalg.norm(lattice.positions(), axis=-1) < 3.0
     automaton = Automaton(lattice, np.ones(lattice.shape, bool), open0, rules_at_pitch(pitch, 3), 0)
@@ -80,7 +80,7 @@ def test_feedback_breaks_the_symmetry():
 
 
 def test_coarser_pitch_keeps_the_closure_time():
-    """The same wound, radius 1 mm, at 10, 20 and 40 um: days to closure and to a quarter of the area."""
+    """The same wound with a radius of 1 mm at 10, 20 and 40 um: days to closure and to a quarter of the area."""
     days = {}
     for pitch, n_seeds in ((10.0, 1), (20.0, 3), (40.0, 6)):
         rules = rules_at_pitch(pitch, p_layer=0.02, layer_um=160.0)
@@ -94,7 +94,7 @@ def test_coarser_pitch_keeps_the_closure_time():
 
 class TestRates:
     def test_scaling_by_hand(self):
-        # 40 um: four times the step, so four times the chance, a quarter of the layer's sites and of the sub-steps
+        # 40 um: four times the step, so four times the probability, a quarter of the layer's sites and of the sub-steps
         rules = rules_at_pitch(40.0, p_edge=0.2, p_layer=0.1, layer_um=400.0, motility_substeps=8)
         assert (rules.p_edge, rules.layer_sites, rules.motility_substeps) == (0.2, 10, 2)
         assert rules.p_layer == pytest.approx(0.4)

@@ -1,4 +1,4 @@
-"""Localized contours against known shapes, where one global pair of means fails."""
+"""Localized contours on known shapes, where one global pair of means fails."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from cicatrix.image.contour import ball, evolve, heaviside, local_means, signed_
 
 
 def scene(dimension: int, n: int, radius: float, seed: int):
-    """A ball 0.5 brighter than a ramp that runs over 3, with noise."""
+    """Return a ball that is 0.5 brighter than a ramp with a rise of 3, with noise."""
     grid = np.indices((n,) * dimension) - (n - 1) / 2
     inside = np.sqrt((grid**2).sum(axis=0)) < radius
     noise = np.random.default_rng(seed).normal(0, 0.05, inside.shape)

@@ -1,4 +1,4 @@
-"""Parameters found again: from exact data exactly, from noisy data within their errors; derivatives against differences."""
+"""Fits recover parameters exactly from exact data and within their errors from noisy data; derivatives by differences."""
 
 import importlib.util
 from functools import partial
@@ -67,13 +67,13 @@ def test_the_data_beside_the_example_are_the_script_s(example):
 
 
 def uniaxial(stress):
-    """y free of stress: columns of a pull along x."""
+    """Return columns of a stretch along x with y stress-free."""
     stretch = np.linspace(1.05, 1.5, 10)
     return {"time_h": np.arange(10.0), "lambda_x": stretch, "sigma_x_kPa": stress(stretch)}
 
 
 def pulled(mu):
-    """Two springs in parallel are one: sigma = mu (l^2 - 1/l)."""
+    """Return the stress of two parallel springs: sigma = mu (l^2 - 1/l)."""
     return uniaxial(lambda stretch: mu * (stretch**2 - 1 / stretch))
 
 
@@ -95,7 +95,7 @@ def test_a_parameter_at_its_bound_is_said():
 
 
 def test_standard_error_of_a_straight_line():
-    """sigma = mu x is linear in mu: the error by hand is s / |x|, s^2 the sum of squares over n - 1."""
+    """sigma = mu x is linear in mu: the standard error by hand is s / |x|, s^2 the sum of squares over n - 1."""
     noise = 0.1 * np.random.default_rng(2).standard_normal(10)
     columns = pulled(5.0) | {"sigma_x_kPa": pulled(5.0)["sigma_x_kPa"] + noise}
     case = case_of({"type": "neo-hookean", "mu_kPa": 1.0})
@@ -139,7 +139,7 @@ def test_keys_of_all_laws():
 @pytest.mark.parametrize(
     ("bounds", "words"),
     [
-        ({"law.0.c1_kPa": (0.1, 1.0)}, "law.0.c1_kPa is no number .* did you mean law.0.c"),
+        ({"law.0.c1_kPa": (0.1, 1.0)}, "law.0.c1_kPa is not a parameter .* did you mean law.0.c"),
         ({"law.0.c10_kPa": (2.0, 1.0)}, "bounds must ascend; got 2..1"),
         ({"law.0.c10_kPa": (-2.0, 1.0)}, "law.0.c10_kPa = -2: MooneyRivlin.c10"),
         (

@@ -1,4 +1,4 @@
-"""Courses, steady states and sensitivities of signalling networks, against closed forms, SciPy and differences."""
+"""Time courses, steady states and sensitivities of signalling networks, compared with closed forms, SciPy and differences."""
 
 from itertools import pairwise
 
@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, fsolve
 
-from cicatrix.biology.courses import follow
+from cicatrix.biology.courses import integrate
 from cicatrix.biology.network import HillNetwork
 from cicatrix.biology.rules import parse_rule
 from cicatrix.biology.sensitivity import of_end, of_steady_state
@@ -33,7 +33,7 @@ def hill(x, n, ec50):
 
 
 def loop_rate(y, tau, n=2.0, ec50=0.5, inputs=0.3, w=(0.8, 0.9, 0.7)):
-    """A <- input or C, B <- A, C <- B and not A: in NumPy."""
+    """Return the rate of A <- input or C, B <- A, C <- B and not A, in NumPy."""
     a, b, c = np.maximum(y, 0.0)
     into_a = inputs + w[0] * hill(c, n, ec50) * (1 - inputs)
     into_c = hill(b, n, ec50) * (1 - w[2] * hill(a, n, ec50))
@@ -52,7 +52,7 @@ def padded(times):
 @pytest.mark.parametrize("method", [pytest.param("implicit", marks=pytest.mark.slow), "explicit"])
 def test_course_is_that_of_scipy(method):
     start, times = np.array([0.9, 0.1, 0.5]), np.array([0.0, 500.0, 3600.0, 40_000.0])
-    done = follow(LOOP, jnp.asarray(INPUTS), jnp.asarray(start), padded(times), Accuracy(1e-9, 1e-12, method))
+    done = integrate(LOOP, jnp.asarray(INPUTS), jnp.asarray(start), padded(times), Accuracy(1e-9, 1e-12, method))
     assert bool(done.is_done)
     theirs = solve_ivp(lambda t, y: loop_rate(y, TAU), (0, times[-1]), start, "LSODA", times, rtol=1e-10, atol=1e-13)
     np.testing.assert_allclose(done.y[: len(times)], theirs.y.T, atol=3e-8)
@@ -62,7 +62,7 @@ def test_course_is_that_of_scipy(method):
 def test_an_input_alone_is_an_exponential():
     times = np.array([0.0, 100.0, 360.0, 2000.0])
     law = network(["=> A"], 1.4, 0.5, [360.0])
-    y = follow(law, jnp.array([0.7]), jnp.array([0.2]), padded(times), EXPLICIT).y[:4, 0]
+    y = integrate(law, jnp.array([0.7]), jnp.array([0.2]), padded(times), EXPLICIT).y[:4, 0]
     np.testing.assert_allclose(y, 0.7 + (0.2 - 0.7) * np.exp(-times / 360.0), atol=1e-9)
 
 
@@ -71,7 +71,7 @@ def test_several_states_share_their_steps():
     starts = np.random.default_rng(1).random((4, 3))
     times = padded(np.array([0.0, 3000.0]))
     inputs = np.array([[0.1], [0.3], [0.5], [0.9]])
-    together = follow(LOOP, jnp.asarray(inputs), jnp.asarray(starts), times, EXPLICIT)
+    together = integrate(LOOP, jnp.asarray(inputs), jnp.asarray(starts), times, EXPLICIT)
     assert together.y.shape == (N_TIMES, 4, 3)
     for k in range(4):
         alone = solve_ivp(
@@ -81,7 +81,7 @@ def test_several_states_share_their_steps():
 
 
 def test_a_toggle_has_two_stable_states_and_a_saddle():
-    """By bisection: x = NOT of NOT of x at the roots of x - (1 - act(1 - act(x)))."""
+    """By bisection: x is NOT of NOT of x at the roots of x - (1 - act(1 - act(x)))."""
     law = network(["!B => A", "!A => B"], 4.0, 0.5, [360.0, 720.0])
     grid = np.linspace(0.0, 1.0, 1002)
 
@@ -116,7 +116,7 @@ def test_one_steady_state_is_that_of_fsolve():
 
 
 def test_what_does_not_come_to_rest_is_told():
-    """A negative loop of three with steep switches goes round for ever; its one steady state is unstable."""
+    """A negative loop of three species with steep switches oscillates for ever; its one steady state is unstable."""
     law = network(["!C => A", "A => B", "B => C"], 8.0, 0.5, [3600.0] * 3)
     starts = np.array([[0.0, 0.0, 0.0], [0.9, 0.1, 0.4]])
     found = steady_states(law, np.zeros(0), starts, 360_000.0, np.ones(3), EXPLICIT)
@@ -134,14 +134,14 @@ def test_sensitivities_of_a_steady_state_are_differences(slope):
     np.testing.assert_allclose(by["weight"][:, 2], weight, rtol=1e-6)
     np.testing.assert_allclose(by["ec50"].sum(axis=1), slope(lambda h: steady(ec50=0.5 + h), 1e-3), rtol=1e-5)
     np.testing.assert_allclose(by["n"].sum(axis=1), slope(lambda h: steady(n=2.0 + h), 1e-3), rtol=1e-5)
-    np.testing.assert_array_equal(by["weight"][:, 0], 0.0)  # the input stands in its place
-    np.testing.assert_allclose(by["tau"], 0.0, atol=1e-15)  # times do not move a steady state
+    np.testing.assert_array_equal(by["weight"][:, 0], 0.0)  # the input replaces it
+    np.testing.assert_allclose(by["tau"], 0.0, atol=1e-15)  # time constants do not change a steady state
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["implicit", "explicit"])
 def test_sensitivities_of_a_course_are_differences(method, slope):
-    """Through two changes of the input."""
+    """The input changes twice."""
     start, at, held = np.array([0.1, 0.2, 0.6]), np.array([0.0, 900.0, 2500.0]), np.array([[0.3], [0.8]])
     by = of_end(LOOP, held, start, at, Accuracy(1e-9, 1e-11, method))
 

@@ -8,7 +8,7 @@ from cicatrix.numerics.newton import NewtonReport, newton, ramp
 
 
 def advancing(limit: float, report: NewtonReport):
-    """An ``advance`` that fails for steps above a limit; also the list of what was tried."""
+    """Return an ``advance`` that fails for steps above a limit, and the list of tried steps."""
     tried, reached = [], [0.0]
 
     def advance(x, factor):
@@ -46,3 +46,16 @@ def test_each_iteration_is_told():
     x = newton(lambda x: x**2 - 2, lambda x, r: -r / (2 * x), np.array([1.0]), tolerance=1e-12, report=report)
     assert x[0] == pytest.approx(np.sqrt(2), abs=1e-12)
     assert len(heard) == report.iterations > 3
+
+
+def test_a_failure_without_a_history_is_told_in_its_own_words():
+    """Such as one that a material raises."""
+    report = NewtonReport()
+
+    def advance(x, factor):
+        if factor > 0.3 + x[0]:
+            raise ConvergenceError("no stress at point 3")
+        return np.array([factor])
+
+    assert ramp(advance, np.zeros(1), report)[0] == 1.0
+    assert any("no stress at point 3" in line for line in report.history)

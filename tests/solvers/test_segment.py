@@ -1,6 +1,5 @@
-"""Segmentation scored on images whose labels are known."""
+"""Segmentation, scored on images with known labels."""
 
-import argparse
 import os
 from pathlib import Path
 
@@ -9,6 +8,7 @@ import pytest
 from scipy import ndimage as ndi
 
 from cicatrix.cli import segment as verb
+from cicatrix.cli.arguments import build_parser
 from cicatrix.core.errors import InputError
 from cicatrix.files.images import read_image, read_labels, write_volume
 from cicatrix.geometry.volume import Volume
@@ -31,7 +31,7 @@ def is_breast(labels):
 
 
 def is_dense(labels):
-    """Gland and tumour: without a label map they are one class."""
+    """Return gland and tumour, which are one class without a label map."""
     return (labels == 2) | (labels == 4)
 
 
@@ -56,14 +56,14 @@ def test_phantom_is_found(weighting, side, spacing, seed):
     assert scores[1] >= 0.9
     assert (labels > 0).sum() == pytest.approx(
         (truth.values > 0).sum(), rel=0.01
-    )  # the skin is where it is, not around it
+    )  # also checks the position of the skin
     total = found.probabilities.values.sum(axis=0)
     np.testing.assert_allclose(total[is_breast(labels)], 1, atol=1e-5)
     assert not total[~is_breast(labels)].any()
 
 
 def wall_of(labels: Volume) -> np.ndarray:
-    """Last breast voxel of each column, (nz, nx) [mm]; NaN where there is none."""
+    """Return the last breast voxel of each column, (nz, nx) [mm]; NaN if there is none."""
     breast = is_breast(labels.values)
     last = labels.shape[1] - 1 - breast[:, ::-1].argmax(axis=1)
     return np.where(breast.any(axis=1), labels.origin_mm[1] + last * labels.spacing_mm[1], np.nan)
@@ -80,8 +80,8 @@ def test_the_contour_settles_nearer_to_the_wall_than_the_search_put_it(weighting
         notes.append(found.notes[1])
     assert errors[1] < 0.8 * errors[0]
     assert errors[1] < 1.0
-    assert "did not settle" in notes[0]
-    assert "settled by a localized contour" in notes[1]
+    assert "did not converge" in notes[0]
+    assert "refined by a localized contour" in notes[1]
 
 
 def test_same_seed_same_phantom():
@@ -146,19 +146,18 @@ def test_imported_labels_are_kept_and_a_missing_chest_is_noted():
 def test_segment_verb_writes_a_whole_folder_or_none(tmp_path):
     image, _ = phantom(spacing_mm=4.0, seed=2)
     write_volume(tmp_path / "image.nii.gz", image)
-    parser = argparse.ArgumentParser()
-    verb.add_parser(parser.add_subparsers())
+    parser = build_parser()
     out = tmp_path / "out"
     args = parser.parse_args(["segment", str(tmp_path / "image.nii.gz"), "--out", str(out)])
-    assert args.run(args) == 0
+    assert verb.run(args) == 0
     assert sorted(p.name for p in out.iterdir()) == ["labels.nii.gz", "preview.png", "probabilities.nii.gz"]
     assert read_labels(out / "labels.nii.gz").shape == image.shape
-    with pytest.raises(InputError, match="already holds something"):
-        args.run(args)
+    with pytest.raises(InputError, match="is not empty"):
+        verb.run(args)
     write_volume(tmp_path / "empty.nii.gz", image.with_values(np.zeros_like(image.values)))
     args = parser.parse_args(["segment", str(tmp_path / "empty.nii.gz"), "--out", str(tmp_path / "none")])
     with pytest.raises(InputError, match="no breast"):
-        args.run(args)
+        verb.run(args)
     assert sorted(p.name for p in tmp_path.iterdir()) == ["empty.nii.gz", "image.nii.gz", "out"]
 
 

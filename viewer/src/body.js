@@ -1,14 +1,14 @@
-// A body in space: one shape of a run at a time, coloured, whole or cut open, with the shape before surgery over it.
+// View of a body: one shape of a run at a time, coloured, whole or cut open, with the shape before surgery as an overlay.
 import { csv, save, short, stored, unpack, withUnit } from "./data.js";
 import { colourOf, onTheme } from "./theme.js";
 
 const MAPS = { displacement: "viridis", shift: "viridis", filled_fraction: "cividis", collagen_fraction: "cividis", cells_fraction: "cividis" };
 const PLAIN = [0.86, 0.7, 0.6];
-const TURN = 10; // degrees per key
+const TURN = 10; // rotation per key press [degrees]
 
 export const BEFORE = "before surgery";
 
-// where a moment stands in time; labels are those of cicatrix.pages.bodies
+// sort key of a shape in time; the labels come from cicatrix.pages.bodies
 export function rank(shape) {
   return shape.label === "healed" ? 1e9 : shape.label === BEFORE ? -2 : shape.days;
 }
@@ -39,7 +39,7 @@ export class BodyView {
 
   draw() { this.window.getRenderWindow().render(); }
 
-  // the shape in a position at a moment, or the nearest earlier one
+  // the shape in a position at a given time, or else the last one before it
   pick(position, label, at) {
     const own = this.shapes.filter((shape) => shape.position === position);
     const candidates = own.length ? own : this.shapes;
@@ -59,7 +59,7 @@ export class BodyView {
     const outline = old?.outline && (await this.#array(old.outline));
     const oldPoints = old && (await this.#array(surfaceOf(old).points));
     const oldTriangles = old && (await this.#array(surfaceOf(old).triangles));
-    if (turn !== this.turn) return; // another was asked for meanwhile
+    if (turn !== this.turn) return; // a newer request has replaced this one
     this.shown = { shape, points, triangles, values, colour, isCell };
     this.#fill(this.actor, points, { triangles, values, isCell, range, map: MAPS[colour] ?? "plasma" });
     this.ghost.setVisibility(Boolean(ghost && old));
@@ -89,14 +89,14 @@ export class BodyView {
     this.draw();
   }
 
-  // a section fills its frame, whatever the frame's shape
+  // zoom a section so that it fills the canvas
   #fit() {
     const [x0, x1, y0, y1] = this.actor.getBounds();
     const aspect = this.canvas.clientWidth / this.canvas.clientHeight;
     this.camera.setParallelScale(0.53 * Math.max(y1 - y0, (x1 - x0) / aspect));
   }
 
-  // follow the camera of another view
+  // copy the camera of another view
   follow(other) {
     this.camera.set({ position: other.camera.getPosition(), focalPoint: other.camera.getFocalPoint(), viewUp: other.camera.getViewUp(),
       parallelScale: other.camera.getParallelScale(), viewAngle: other.camera.getViewAngle() });
@@ -110,7 +110,7 @@ export class BodyView {
     actor.setMapper(mapper);
     actor.getProperty().setAmbient(0.25);
     actor.getProperty().setDiffuse(0.75);
-    return actor; // joins the scene once it has a shape: VTK complains of one without
+    return actor; // added to the scene once it has data, because VTK reports an error for an actor without any
   }
 
   #flat() {
@@ -175,9 +175,9 @@ export class BodyView {
     const { shape, values } = this.shown;
     const colour = this.scene.colours.find((entry) => entry.name === name);
     this.figure.querySelector(".where").textContent = `${shape.label}, ${shape.position}`;
-    if (colour) this.figure.querySelector(".high").textContent = `${short(range[1])}${values && greatest(values) > range[1] * 1.001 ? " and more" : ""}`;
+    if (colour) this.figure.querySelector(".high").textContent = `${short(range[1])}${values && greatest(values) > range[1] * 1.001 ? " or more" : ""}`;
     this.figure.querySelector(".unit").textContent = colour ? withUnit(colour.label, colour.unit) : "";
-    const instead = shape.label === wanted ? "" : ` There is no ${wanted} in this run; this is ${shape.label}.`;
+    const instead = shape.label === wanted ? "" : ` This run has no shape for ${wanted}; the view shows ${shape.label}.`;
     const most = colour && values ? ` ${colour.label}: ${short(least(values))} to ${short(greatest(values))} ${colour.unit === "1" ? "" : colour.unit}.` : "";
     this.figure.querySelector(".said").textContent = `${shape.label}, ${shape.position}.${most}${instead}`;
   }
@@ -226,7 +226,7 @@ const least = (values) => values.reduce((a, b) => Math.min(a, b), Infinity);
 const greatest = (values) => values.reduce((a, b) => Math.max(a, b), -Infinity);
 const mean = (points, triangles, t, c) => (points[3 * triangles[3 * t] + c] + points[3 * triangles[3 * t + 1] + c] + points[3 * triangles[3 * t + 2] + c]) / 3;
 
-// what VTK takes: every cell after its number of points
+// cells in VTK's format: each cell preceded by its number of points
 function counted(cells, n) {
   const out = new Uint32Array((cells.length / n) * (n + 1));
   for (let k = 0, at = 0; k < cells.length; k += n) {
@@ -236,7 +236,7 @@ function counted(cells, n) {
   return out;
 }
 
-// outward at each point, the mean of its triangles by their areas
+// outward normals at the points: area-weighted means over the adjacent triangles
 function normals(points, triangles) {
   const out = new Float32Array(points.length);
   for (let t = 0; t < triangles.length; t += 3) {

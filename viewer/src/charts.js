@@ -1,11 +1,11 @@
-// Curves as SVG: axes with units, colours that the colour-blind tell apart, downloads of picture and data.
+// Curves as SVG, with units on the axes, colours for colour-blind readers, and downloads of picture and data.
 import { csv, save, stored, unpack, withUnit } from "./data.js";
 import { rank } from "./body.js";
 
 export const COLOURS = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f7f7f", "#b59f00"]; // Okabe & Ito 2008
 const WIDTH = 640;
 
-// draw marks into a figure; rows are what the CSV holds
+// draw a plot into a figure; head and rows go into its CSV file
 function draw(figure, name, options, head, rows) {
   const { Plot } = globalThis.cicatrixLibraries;
   const title = figure.querySelector("figcaption").textContent;
@@ -32,7 +32,7 @@ export function drawClosing(figure, runs) {
   const clinic = runs[0].closing.clinic.days.map((day, k) => ({ day, percent: runs[0].closing.clinic.percent[k] }));
   const names = [...new Set(rows.map((row) => row.run))];
   draw(figure, "closing", (Plot) => ({
-    color: { domain: [...names, "clinic: cavity on MRI, day 23 = 100 %"], range: [...COLOURS.slice(0, names.length), "currentColor"], legend: true },
+    color: { domain: [...names, "clinical: cavity on MRI, day 23 = 100 %"], range: [...COLOURS.slice(0, names.length), "currentColor"], legend: true },
     x: { label: "days after surgery [days]" },
     y: { label: "still open [%]", domain: [0, 105] },
     marks: [
@@ -45,7 +45,7 @@ export function drawClosing(figure, runs) {
   }), ["run", "day", "open_percent", runs[0].closing.sizeName || "open_size"], rows.map((row) => [row.run, row.day, row.percent, row.size]));
 }
 
-// every column of the histories of some runs, small
+// one small chart per column of the runs' histories
 export function drawCurves(runs) {
   const home = document.getElementById("curves");
   if (!home || !runs.length) return;
@@ -75,7 +75,7 @@ function series({ letter, curves }, name) {
   return y.map((value, k) => ({ run: letter, x: x[k], y: value }));
 }
 
-// outlines of a section over each other, one chart per position
+// outlines of a section at all times in one chart per position
 export async function drawOutlines(letter) {
   const scene = stored(letter, "body");
   for (const figure of document.querySelectorAll('[data-chart^="outline-"]')) {

@@ -1,4 +1,4 @@
-// The controls of one or several bodies: moment, position, colour, cut, ghost, view; all bodies show the same on one scale.
+// Controls of one or several bodies: time, position, colour, cut, overlay and view; all bodies share them and one colour scale.
 import { BEFORE, BodyView, rank } from "./body.js";
 
 export async function startBodies() {
@@ -78,7 +78,7 @@ function merged(views) {
   return [...all.values()];
 }
 
-// whoever is turned turns the others
+// rotating one view rotates the others
 function link(views) {
   let isFollowing = false;
   for (const view of views) {

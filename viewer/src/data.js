@@ -1,4 +1,4 @@
-// What the data scripts of a page have put, by run and name; arrays come as typed arrays.
+// Store for the contents of a page's data scripts, by run and name; arrays are unpacked to typed arrays.
 const store = new Map();
 globalThis.cicatrixPut = (letter, name, content) => store.set(`${letter}.${name}`, content);
 
@@ -10,7 +10,7 @@ export function bytesOf(base64) {
   return Uint8Array.from(atob(base64), (letter) => letter.charCodeAt(0));
 }
 
-// {type, shape, gzip} as cicatrix.pages.packing writes it
+// unpack {type, shape, gzip} as written by cicatrix.pages.packing
 export async function unpack(array) {
   const stream = new Blob([bytesOf(array.gzip)]).stream().pipeThrough(new DecompressionStream("gzip"));
   return new KINDS[array.type](await new Response(stream).arrayBuffer());
@@ -29,7 +29,7 @@ export function csv(head, rows) {
   return [head, ...rows].map((row) => row.map(cell).join(",")).join("\n") + "\n";
 }
 
-// three significant digits, no needless zeros
+// number with three significant digits, without trailing zeros
 export function short(value) {
   if (!Number.isFinite(value)) return "none";
   return Number(value.toPrecision(3)).toString().replace("-", "\u2212");

@@ -1,4 +1,4 @@
-// Starts what a page has; a part that fails says so in its place, and the others go on.
+// Start all parts of a page; a part that fails shows a message in its place, and the others still start.
 import { drawClosing, drawCurves, drawOutlines } from "./charts.js";
 import { startBodies } from "./controls.js";
 import { stored } from "./data.js";
@@ -13,7 +13,7 @@ async function attempt(where, part) {
     console.error(fault);
     const words = document.createElement("p");
     words.className = "gap";
-    words.textContent = `This could not be drawn (${fault.message}). The figures at the foot of the page and in figures.pdf show the same.`;
+    words.textContent = `This part could not be drawn (${fault.message}). The figures at the end of the page and in figures.pdf show the same results.`;
     document.querySelector(where)?.append(words);
   }
 }

@@ -1,9 +1,9 @@
-// The planning page: a ball that is moved on the slices, what it takes out, and the run that follows.
+// Planning page: place a ball on the slices, measure what it removes, and start and watch the run.
 import { short, stored } from "./data.js";
 import { Slices, startOpacity, writeKey } from "./slices.js";
 
 const WATCH_MS = 1000;
-const SETTLE_MS = 150; // after the last movement, before the server is asked
+const SETTLE_MS = 150; // wait after the last change before a request to the server
 const element = (id) => document.getElementById(id);
 
 async function ask(act, content = {}) {
@@ -13,7 +13,7 @@ async function ask(act, content = {}) {
   return found;
 }
 
-// one call for many events, once they have settled
+// return a function that calls act once, SETTLE_MS after the last of many events
 function settled(act) {
   let waiting;
   return () => { clearTimeout(waiting); waiting = setTimeout(act, SETTLE_MS); };
@@ -38,7 +38,7 @@ class Plan {
       return `Started ${name}.`;
     }));
     element("stop").addEventListener("click", () => this.#told(async () => {
-      element("told").textContent = "Stopping, once the state is kept ...";
+      element("told").textContent = "Stopping; waiting until the state is saved ...";
       const { sentence } = await ask("stop");
       return sentence;
     }));
@@ -65,7 +65,7 @@ class Plan {
     try {
       this.#progress(await ask("progress"));
     } catch (fault) {
-      element("told").textContent = `The server does not answer (${fault.message}); start cicatrix plan again.`;
+      element("told").textContent = `The server does not answer (${fault.message}); run cicatrix plan again.`;
       return;
     }
     this.waiting = setTimeout(() => this.watch(), WATCH_MS);
@@ -81,7 +81,7 @@ class Plan {
   }
 
   #typed() {
-    this.isMoving = true; // the crosshair tells of itself; that is no click
+    this.isMoving = true; // moving the crosshair raises the same event as a click, which is ignored here
     this.slices.goTo(this.centre);
     this.isMoving = false;
     this.#changed();
@@ -93,7 +93,7 @@ class Plan {
     this.measure();
   }
 
-  // the ball and its margin into the voxels of the layer
+  // write the ball and its margin into the voxels of the zones layer
   #paint() {
     const { shape, spacing, origin } = this.content.grid;
     const { centre, wish } = this;

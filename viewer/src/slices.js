@@ -1,9 +1,9 @@
-// Three slices of the image through one point, labels and the resection over them.
+// Three slices of the image through one point, overlaid with labels and the resection.
 import { bytesOf, save, stored } from "./data.js";
 import { colourOf, onTheme } from "./theme.js";
 
 const LABEL_COLOURS = [[0, 0, 0], [240, 228, 66], [0, 158, 115], [204, 121, 167], [213, 94, 0], [86, 180, 233]]; // Okabe & Ito 2008
-const ZONES = ["", "taken out", "margin to keep clear of tumour"];
+const ZONES = ["", "excised", "margin (should be free of tumour)"];
 const ZONE_COLOURS = [[0, 0, 0], [230, 40, 40], [255, 170, 60]];
 const STEPS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
 
@@ -35,7 +35,7 @@ export class Slices {
     return this;
   }
 
-  // the point (3,) LPS [mm] becomes that of the crosshair
+  // move the crosshair to a point (3,) LPS [mm]
   goTo([x, y, z]) {
     this.nv.scene.crosshairPos = this.nv.mm2frac([-x, -y, z]);
     this.nv.drawScene();
@@ -79,7 +79,7 @@ function lookup(colours, labels) {
   return { R: channel(0), G: channel(1), B: channel(2), A: colours.map((_, k) => (k ? 255 : 0)), I: colours.map((_, k) => k), labels: [...labels].slice(0, colours.length) };
 }
 
-// which colour means what
+// write the colour key of labels and zones
 export function writeKey(home, content) {
   const entries = content.volumes.labels ? content.labels.map((name, k) => [name, LABEL_COLOURS[k]]).slice(1) : [];
   const zones = content.volumes.zones ? ZONES.map((name, k) => [name, ZONE_COLOURS[k]]).slice(1) : [];

@@ -1,4 +1,4 @@
-// Light or dark: as the system has it until the button says otherwise.
+// Light or dark theme: that of the system until the user presses the button.
 const listeners = [];
 export const onTheme = (listener) => listeners.push(listener);
 
@@ -22,7 +22,7 @@ export function startTheme() {
   told();
 }
 
-// a colour of the style sheet as three numbers 0 to 1
+// colour variable of the style sheet as three numbers from 0 to 1
 export function colourOf(name) {
   const probe = document.createElement("span");
   probe.style.color = `var(${name})`;

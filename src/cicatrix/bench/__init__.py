@@ -1,1 +1,1 @@
-"""Benchmarks: speed against measured ceilings and against other programs in the same run."""
+"""Benchmarks: speed of cicatrix compared with that of other programs and with hardware limits measured in the same run."""

@@ -1,6 +1,6 @@
-"""The benchmark of cells: adhesion at many substrates, single bonds at random, and what SciPy takes for the same.
+"""Benchmark of cell adhesion: steady states on many substrates, stochastic bonds, and SciPy's solver for the same equation.
 
-Seconds are those of the processor on one core. Signalling networks are measured in ``bench_networks``.
+All times are CPU seconds on one core. :mod:`.networks` measures signalling networks.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from ..biology.substrate import Column, ExponentialFibre, LinearSubstrate
 from ..materials.chunked import chunked
 from .measurement import Measurement, best_of, printed_on_one_core
 
-MANY = 1_000_000  # substrates in one call
-SIZE = 1000  # at a time; divides MANY
-FEW = 100  # loops of SciPy
+N_POINTS = 1_000_000  # substrates in one call
+CHUNK_SIZE = 1000  # substrates per chunk; divides N_POINTS
+N_SCIPY = 100  # substrates in the loop over SciPy's solver
 BONDS, STEPS = 1_000_000, 200
-HORIZON = 1000.0  # s: many times what the bonds take
+HORIZON = 1000.0  # s: many times the relaxation time of the bonds
 BELL = Bell(0.01, 0.012)
 CELL = Feedback(100.0, 0.5, 2e4, 4e3)
 COLLAGEN = Column(ExponentialFibre(0.004 * 17.599164683e6, 20.818113705), 0.017, 0.1)
@@ -33,12 +33,12 @@ SUBSTRATES = {"spring": LinearSubstrate(5e4), "collagen fibre": COLLAGEN}
 
 
 def cells() -> Iterator[Measurement]:
-    """Adhesion, in a process of its own that has one core."""
+    """Run the adhesion benchmark in a separate process pinned to one core; yield its measurements."""
     return printed_on_one_core("-m", __name__)
 
 
 def measured() -> Iterator[Measurement]:
-    """Steady states with feedback, their derivative, single bonds in fixed steps and at exact times, and a loop of SciPy's."""
+    """Measure steady states with feedback, their derivative, stochastic bonds in fixed steps and at exact times, and SciPy."""
     for name, made in SUBSTRATES.items():
         yield _steady(name, Adhesion(BELL, made, CELL, 400.0))
     for row in (_derivative, _scipy, _stepped, _generator, _exact):
@@ -46,32 +46,32 @@ def measured() -> Iterator[Measurement]:
 
 
 def _steady(name: str, law: Adhesion) -> Measurement:
-    ready = jax.jit(lambda law, stretch: chunked(lambda s: law.anchored(s).traction, stretch, SIZE))
+    ready = jax.jit(lambda law, stretch: chunked(lambda s: law.steady_state(s).traction, stretch, CHUNK_SIZE))
     ns = _ns_per_point(ready, law)
-    return Measurement(f"steady state, {name}", ns, "ns", f"a point of {MANY:g}, with feedback; aim 2000")
+    return Measurement(f"steady state, {name}", ns, "ns", f"per point, {N_POINTS:g} points, with feedback; aim 2000")
 
 
 def _derivative() -> Measurement:
     law = Adhesion(BELL, COLLAGEN, CELL, 400.0)
 
     def slope(stretch: jax.Array) -> jax.Array:
-        return jax.jvp(lambda s: law.anchored(s).traction, (stretch,), (jax.numpy.ones_like(stretch),))[1]
+        return jax.jvp(lambda s: law.steady_state(s).traction, (stretch,), (jax.numpy.ones_like(stretch),))[1]
 
-    ready = jax.jit(lambda _, stretch: chunked(slope, stretch, SIZE))
+    ready = jax.jit(lambda _, stretch: chunked(slope, stretch, CHUNK_SIZE))
     return Measurement(
-        "its derivative by stretch, collagen fibre", _ns_per_point(ready, law), "ns", f"a point of {MANY:g}"
+        "its derivative by stretch, collagen fibre", _ns_per_point(ready, law), "ns", f"per point, {N_POINTS:g} points"
     )
 
 
 def _ns_per_point(ready: Callable, law: Adhesion) -> float:
-    stretch = jax.device_put(np.linspace(1.0, 1.15, MANY))
+    stretch = jax.device_put(np.linspace(1.0, 1.15, N_POINTS))
     jax.block_until_ready(ready(law, stretch))
-    return 1e9 * best_of(lambda: jax.block_until_ready(ready(law, stretch)), 3, time.process_time) / MANY
+    return 1e9 * best_of(lambda: jax.block_until_ready(ready(law, stretch)), 3, time.process_time) / N_POINTS
 
 
 def _scipy() -> Measurement:
-    """The mean field led to its steady state point by point, rates given."""
-    at = Adhesion(BELL, COLLAGEN, CELL, 400.0).anchored(np.linspace(1.0, 1.15, FEW))
+    """Measure SciPy: integrate the mean-field bond equation to its steady state, one substrate at a time, with given rates."""
+    at = Adhesion(BELL, COLLAGEN, CELL, 400.0).steady_state(np.linspace(1.0, 1.15, N_SCIPY))
     rates = np.asarray(at.k_off).tolist()
 
     def loop() -> None:
@@ -80,7 +80,7 @@ def _scipy() -> Measurement:
 
     seconds = best_of(loop, 3, time.process_time)
     return Measurement(
-        "SciPy's solve_ivp to the steady state", 1e9 * seconds / FEW, "ns", "a point, the rate given; LSODA"
+        "SciPy's solve_ivp to the steady state", 1e9 * seconds / N_SCIPY, "ns", "per point, the rate given; LSODA"
     )
 
 
@@ -92,7 +92,7 @@ def _stepped() -> Measurement:
 
 
 def _generator() -> Measurement:
-    """What NumPy takes for as many random words alone."""
+    """Measure NumPy's random generator alone, for as many random words as the bonds need."""
     words = np.random.Generator(np.random.Philox(1))
     seconds = best_of(lambda: words.integers(0, 2**32, BONDS, np.uint32), 5, time.process_time)
     return Measurement("NumPy's Philox alone", BONDS / seconds * 1e-6, "M/s", "words of 32 bits, no bonds")

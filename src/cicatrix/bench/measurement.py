@@ -1,4 +1,4 @@
-"""What a benchmark reports, and how it is timed."""
+"""Measurements that the benchmarks report, and how they are timed."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..core.errors import CicatrixError
 
 
 class Measurement(NamedTuple):
-    """One number of a benchmark: what, how much, in which unit, and a note such as "ceiling"."""
+    """One result of a benchmark: its name, value and unit, and a note, such as "ceiling" for a hardware limit."""
 
     what: str
     value: float
@@ -25,7 +25,7 @@ class Measurement(NamedTuple):
 
 
 def best_of(work: Callable[[], object], repeats: int = 5, clock: Callable[[], float] = time.perf_counter) -> float:
-    """Least seconds of some repeats: what else the machine does only adds."""
+    """Return the shortest time of several calls of ``work`` [s]: other load on the machine can only lengthen a time."""
     seconds = []
     for _ in range(repeats):
         start = clock()
@@ -36,7 +36,7 @@ def best_of(work: Callable[[], object], repeats: int = 5, clock: Callable[[], fl
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Hold this thread, and the processes that it starts, on one core where the system can."""
+    """Pin this thread and the processes it starts to one core, if the operating system allows it."""
     if not hasattr(os, "sched_setaffinity"):
         yield
         return
@@ -49,18 +49,22 @@ def one_core() -> Iterator[None]:
 
 
 def printed_on_one_core(*arguments: str) -> Iterator[Measurement]:
-    """What Python prints with these arguments, a measurement per line, as it comes: in a process of its own that has one core.
+    """Run Python with the given arguments in a process pinned to one core; yield each measurement as the process prints it.
+
+    The process prints one measurement per line, as JSON.
 
     Raises
     ------
     CicatrixError
-        If it ends otherwise than well, with its last line.
+        If the process fails; the message contains the last line of the process's stderr.
     """
-    with one_core(), tempfile.TemporaryFile("w+") as told:
-        with subprocess.Popen([sys.executable, *arguments], stdout=subprocess.PIPE, stderr=told, text=True) as process:
+    with one_core(), tempfile.TemporaryFile("w+") as errors:
+        with subprocess.Popen(
+            [sys.executable, *arguments], stdout=subprocess.PIPE, stderr=errors, text=True
+        ) as process:
             assert process.stdout is not None
             for line in process.stdout:
                 yield Measurement(*json.loads(line))
-        told.seek(0)
+        errors.seek(0)
         if process.returncode:
-            raise CicatrixError(f"the benchmark ended with {told.read().strip().splitlines()[-1:]}")
+            raise CicatrixError(f"the benchmark failed with {errors.read().strip().splitlines()[-1:]}")

@@ -1,4 +1,4 @@
-"""The benchmark of mechanics: a half-ellipsoid breast of three stiffnesses, sideways under gravity, beside CalculiX."""
+"""Benchmark of mechanics, compared with CalculiX: a half-ellipsoid breast with three stiffnesses under sideways gravity."""
 
 from __future__ import annotations
 
@@ -29,17 +29,20 @@ from .measurement import Measurement
 
 SEMI_AXES_MM = np.array([65.0, 65.0, 50.0])
 EDGES_MM = {"34k dofs": 11.1, "118k dofs": 6.55, "380k dofs": 4.18}
-VOXELS = 8  # per edge, about: the skin is as fine as its voxels
+VOXELS = 8  # approximate number of voxels per element edge; it determines the resolution of the skin
 E_KPA, NU, DENSITY = (1.0, 10.0, 60.0), 0.49, 1e-6  # fat, gland, tumour; kg/mm^3
 GRAVITY = np.array([0.0, -9810.0, 0.0])  # mm/s^2
-PEER_SECONDS = 1200.0  # CalculiX is not waited for longer
-PEER_FIRST = 0.25  # of the load: it comes through sooner than when it tries the whole, half or a tenth first
+PEER_SECONDS = 1200.0  # time limit for CalculiX
+PEER_FIRST = 0.25  # CalculiX's first load increment; with it the solve is faster than with 1, 0.5 or 0.1
 STAGES = {"linearise": (Body, "linearised"), "residual": (Body, "residual"), "factor": (LinearSolver, "factor")}
-STIFFER = 1.05  # the second solve: as much as a healing cycle changes
+STIFFER = 1.05  # stiffness factor of the second solve: about the change in one healing cycle
 
 
 def mechanics() -> Iterator[Measurement]:
-    """Seconds per stage, factorisations, Krylov steps, memory: each size in its own process, then CalculiX on the same mesh."""
+    """Measure time per stage of a solve, factorisations, Krylov iterations and memory, then CalculiX on the same mesh.
+
+    Each mesh size runs in its own process.
+    """
     with tempfile.TemporaryDirectory() as name:
         for size, edge in EDGES_MM.items():
             folder = Path(name, size.replace(" ", "-"))
@@ -48,7 +51,10 @@ def mechanics() -> Iterator[Measurement]:
 
 
 def half_ellipsoid(edge_mm: float) -> Body:
-    """A breast clamped at its back, meshed as patients are: fat, gland within 0.6 of the axes, a tumour of 16 mm."""
+    """Return a half-ellipsoid breast clamped at its back, meshed by the method used for patients' images.
+
+    It consists of fat, with gland in the inner ellipsoid (0.6 times the semi-axes) and a tumour of 16 mm diameter.
+    """
     voxel = edge_mm / VOXELS
     half, deep = int(72.0 / voxel), int(54.0 / voxel)
     across = voxel * np.arange(-half, half + 1)
@@ -61,19 +67,19 @@ def half_ellipsoid(edge_mm: float) -> Body:
     E = np.where(np.linalg.norm(centres / SEMI_AXES_MM, axis=1) < 0.6, E_KPA[1], E_KPA[0])
     E[np.linalg.norm(centres - (15.0, 10.0, 25.0), axis=1) < 8.0] = E_KPA[2]
     held = np.zeros(len(mesh.nodes), bool)
-    held[mesh.held_nodes] = True
+    held[mesh.constrained_nodes] = True
     same = np.ones(len(E))
     return solid_body(mesh.nodes, mesh.tetrahedra, held, E, NU * same, DENSITY * same)
 
 
 def _size(size: str, edge_mm: float, folder: Path) -> Iterator[Measurement]:
-    """Ours in a fresh process, whose memory is then its own, and CalculiX."""
+    """Measure the solves on one mesh: cicatrix in a new process (so that its peak memory is known), then CalculiX."""
     _, usage = _run([sys.executable, "-m", __spec__.name, str(edge_mm), str(folder)], folder)
     found = np.load(folder / "found.npz")
     for name in found["names"]:
         value, unit, note = found[f"{name}.value"], str(found[f"{name}.unit"]), str(found[f"{name}.note"])
         yield Measurement(f"{size}: {name}", float(value), unit, note)
-    yield Measurement(f"{size}: peak memory", usage.ru_maxrss * 1e-6, "GB", "of the process, meshing included")
+    yield Measurement(f"{size}: peak memory", usage.ru_maxrss * 1e-6, "GB", "peak of the process, including meshing")
     if shutil.which("ccx") is None:
         yield Measurement(f"{size}: CalculiX", float("nan"), "s", "not installed: apt-get install calculix-ccx")
         return
@@ -81,16 +87,18 @@ def _size(size: str, edge_mm: float, folder: Path) -> Iterator[Measurement]:
     peer = calculix_displacements((folder / "body.dat").read_text(), len(found["u"]))
     cpu = usage.ru_utime + usage.ru_stime
     if len(peer) < len(found["u"]):
-        yield Measurement(f"{size}: CalculiX", cpu, "s", f"CPU, {seconds:.0f} s, and not through to the whole load")
+        yield Measurement(f"{size}: CalculiX", cpu, "s", f"CPU, {seconds:.0f} s; it did not reach the full load")
         return
     ratio = cpu / float(found["first solve.value"])
-    yield Measurement(f"{size}: CalculiX", cpu, "s", f"CPU; {ratio:.1f} times ours, {usage.ru_maxrss * 1e-6:.2f} GB")
+    yield Measurement(
+        f"{size}: CalculiX", cpu, "s", f"CPU; {ratio:.1f} times cicatrix, {usage.ru_maxrss * 1e-6:.2f} GB"
+    )
     gap = float(np.abs(peer - found["u"]).max())
     yield Measurement(f"{size}: largest difference from CalculiX", gap, "mm")
 
 
 def _run(command: list[str], folder: Path, limit: float | None = None) -> tuple[float, Any]:
-    """Run to the end or the limit: seconds and what it used; one thread, as ours."""
+    """Run a command with one OpenMP thread, killed after ``limit`` [s] if given; return its wall time [s] and resource usage."""
     start = time.perf_counter()
     with (folder / "output.txt").open("w") as output:
         child = subprocess.Popen(
@@ -110,7 +118,7 @@ def _run(command: list[str], folder: Path, limit: float | None = None) -> tuple[
 
 
 class _Clock:
-    """CPU seconds spent in some methods, and in what is measured around them."""
+    """Clock that wraps the methods in :data:`STAGES` and sums the CPU seconds spent in each."""
 
     def __init__(self) -> None:
         self.spent = dict.fromkeys(STAGES, 0.0)
@@ -129,23 +137,25 @@ class _Clock:
 
 
 def _measure(edge_mm: float) -> tuple[list[Measurement], np.ndarray, str]:
-    """Solve twice: from nothing, and again with tissue that is a little stiffer."""
+    """Measure two solves: one from the unloaded shape, then one with slightly stiffer tissue from the first solution."""
     start = time.process_time()
     body = half_ellipsoid(edge_mm)
-    rows = [Measurement("mesh", time.process_time() - start, "s", f"CPU; {body.frame.space.n_elements} tetrahedra")]
-    X = body.frame.space.positions
+    rows = [
+        Measurement("mesh", time.process_time() - start, "s", f"CPU; {body.discretization.space.n_elements} tetrahedra")
+    ]
+    X = body.discretization.space.positions
     start = time.process_time()
     body.residual(X, X, GRAVITY)
-    body.linearised(X, X, body.dilation(X, X), in_plane=False)
-    rows.append(Measurement("compile", time.process_time() - start, "s", "CPU; kernels and pattern, once"))
+    body.linearised(X, X, body.volume_ratio(X, X), in_plane=False)
+    rows.append(Measurement("compile", time.process_time() - start, "s", "CPU; kernels and sparsity pattern, once"))
     solver, clock = Equilibrium(1e-8), _Clock()
     start = time.process_time()
     x, report = solver.loaded(body, X, GRAVITY)
     first = time.process_time() - start
-    n_free = body.frame.solved(False)[0].size
+    n_free = body.discretization.solved(False)[0].size
     note = f"CPU; {n_free} free dofs, {report.iterations} Newton iterations to 1e-8, up to {np.abs(x - X).max():.1f} mm"
     rows.append(Measurement("first solve", first, "s", note))
-    rows += [Measurement(f"of it, {name}", value, "s", "CPU") for name, value in clock.spent.items()]
+    rows += [Measurement(f"of the first solve, {name}", value, "s", "CPU") for name, value in clock.spent.items()]
     rows.append(Measurement("factorisations", solver.factorizations, "1"))
     rows.append(Measurement("Krylov steps", solver.krylov_steps, "1"))
     law = NeoHookean(STIFFER * body.law.mu, STIFFER * body.law.kappa)
@@ -160,7 +170,7 @@ def _measure(edge_mm: float) -> tuple[list[Measurement], np.ndarray, str]:
 
 
 def main() -> None:
-    """Measure one size and leave the numbers, the displacements and CalculiX's input in a folder."""
+    """Measure one mesh size; write the numbers, the displacements and the input of CalculiX to a folder."""
     edge_mm, folder = float(sys.argv[1]), Path(sys.argv[2])
     rows, u, deck = _measure(edge_mm)
     arrays = {"u": u, "names": np.array([row.what for row in rows])}

@@ -1,6 +1,6 @@
-"""The benchmark of signalling: a network of 100 species under many parameter sets, beside SciPy and libroadrunner.
+"""Benchmark of signalling: a network of 100 species with many parameter sets, compared with SciPy and libroadrunner.
 
-Seconds are those of the processor on one core, so that what else a machine does adds little.
+All times are CPU seconds on one core, so that other load on the machine changes them little.
 """
 
 from __future__ import annotations
@@ -17,38 +17,39 @@ from jax import Array
 from scipy.integrate import solve_ivp
 
 from ..biology.network import HillNetwork
-from ..biology.rules import Factor, Rule
+from ..biology.rules import Rule, RuleFactor
 from ..biology.wiring import Wiring
-from ..numerics.ode import Accuracy, course
+from ..numerics.ode import Accuracy, integrate_ode
 from .measurement import Measurement, best_of, printed_on_one_core
 
 N_SPECIES, N_INPUTS, N_SETS = 100, 5, 10_000
-TOGETHER = 250  # sets that share their steps; divides N_SETS
+BATCH_SIZE = 250  # parameter sets integrated with common time steps; divides N_SETS
 SCIPY_SETS, RUNNER_SETS = 20, 20
 POINTS = 1_000_000
 DURATION = 24.0 * 3600.0  # s
 ACCURACY = Accuracy(1e-5, 1e-8, "explicit")
 HOUR = 3600.0
-START = 0.1  # of every species
+START = 0.1  # initial activity of every species
 
 
 class Sets(NamedTuple):
-    """Parameters that differ: the wiring does not."""
+    """Parameter sets of one network; the reactions are the same in all sets."""
 
     tau: np.ndarray
-    """(n, n_species) [s]."""
+    """Time constants (n, n_species) [s]."""
     weight: np.ndarray
-    """(n, n_reactions)."""
+    """Reaction weights (n, n_reactions) [1]."""
     ec50: np.ndarray
+    """Half-maximal activities (n, n_reactions) [1]."""
 
 
 def networks() -> Iterator[Measurement]:
-    """Processor time of a network of 100 species, in a process of its own that has one core."""
+    """Measure CPU times for a network of 100 species, in a separate process pinned to one core."""
     return printed_on_one_core("-m", __name__)
 
 
 def measured() -> Iterator[Measurement]:
-    """The rows, in this process."""
+    """Measure cicatrix, SciPy and libroadrunner in this process."""
     law, sets = network(), parameter_sets(network(), N_SETS)
     n_edges = len(law.wiring.edges[0])
     yield _ceiling(n_edges)
@@ -60,14 +61,17 @@ def measured() -> Iterator[Measurement]:
 
 
 def network() -> HillNetwork:
-    """100 species, each driven by one or two reactions of one or two others, a fifth of them inhibiting."""
+    """Return a random network of 100 species, each driven by one or two reactions.
+
+    A reaction has one or two source species; a fifth of the links inhibit.
+    """
     rng = np.random.Generator(np.random.Philox(1))
     names = [f"s{i}" for i in range(N_SPECIES)]
     rules = [Rule((), name) for name in names[:N_INPUTS]]
     for name in names[N_INPUTS:]:
         for _ in range(rng.integers(1, 3)):
             chosen = rng.choice(names, rng.integers(1, 3), replace=False)
-            rules.append(Rule(tuple(Factor(str(one), bool(rng.random() < 0.2)) for one in chosen), name))
+            rules.append(Rule(tuple(RuleFactor(str(one), bool(rng.random() < 0.2)) for one in chosen), name))
     m = len(rules)
     weight = np.where([rule.is_input for rule in rules], 0.5, 1.0)
     tau = HOUR * np.where(rng.random(N_SPECIES) < 0.5, 0.1, 10.0)
@@ -76,7 +80,7 @@ def network() -> HillNetwork:
 
 
 def parameter_sets(law: HillNetwork, n: int) -> Sets:
-    """Times by up to 30 %, weights and EC50 by up to 30 % down."""
+    """Draw n parameter sets: time constants vary by up to 30 %, weights and EC50 are reduced by up to 30 %."""
     rng = np.random.Generator(np.random.Philox(2))
     return Sets(
         law.tau * rng.uniform(0.7, 1.3, (n, law.tau.size)),
@@ -90,16 +94,16 @@ def _with(law: HillNetwork, sets: Sets) -> HillNetwork:
 
 
 def _ours(law: HillNetwork, sets: Sets, n_edges: int) -> tuple[np.ndarray, Measurement]:
-    """All sets in one compiled call, some at a time inside it."""
+    """Integrate the network for all parameter sets in one compiled call, in batches of :data:`BATCH_SIZE`."""
     times = jnp.array([0.0, DURATION])
 
     def some(part: Sets) -> tuple[Array, Array]:
-        start = jnp.full((TOGETHER, N_SPECIES), START)
-        done = course(lambda bound, y, t: bound.rate(y), _with(law, part).under(), start, times, ACCURACY)
+        start = jnp.full((BATCH_SIZE, N_SPECIES), START)
+        done = integrate_ode(lambda bound, y, t: bound.rate(y), _with(law, part).under(), start, times, ACCURACY)
         return done.y[-1], done.n_steps
 
     def every(sets: Sets) -> tuple[Array, Array]:
-        return jax.lax.map(some, Sets(*(one.reshape(-1, TOGETHER, one.shape[-1]) for one in sets)))
+        return jax.lax.map(some, Sets(*(one.reshape(-1, BATCH_SIZE, one.shape[-1]) for one in sets)))
 
     begin = time.perf_counter()
     ready = jax.jit(every).lower(sets).compile()
@@ -113,7 +117,7 @@ def _ours(law: HillNetwork, sets: Sets, n_edges: int) -> tuple[np.ndarray, Measu
 
 
 def _rate(n_edges: int) -> Measurement:
-    """The rate law as a field calls it."""
+    """Measure one evaluation of the rate law at many points, as in the continuum model."""
     law, n = network(), POINTS // N_SPECIES
     y = jax.device_put(np.random.Generator(np.random.Philox(3)).random((n, N_SPECIES)))
     rate = jax.jit(lambda y: law.rate(y))
@@ -123,8 +127,8 @@ def _rate(n_edges: int) -> Measurement:
 
 
 def _ceiling(n_edges: int) -> Measurement:
-    """What a power costs, which each link needs: a logarithm and an exponential, alone."""
-    x = jax.device_put(np.random.Generator(np.random.Philox(4)).random((n_edges, TOGETHER)))
+    """Measure the cost of one power, exp(n log x), which every link needs."""
+    x = jax.device_put(np.random.Generator(np.random.Philox(4)).random((n_edges, BATCH_SIZE)))
     power = jax.jit(lambda x: jnp.exp(1.4 * jnp.log(x)))
     jax.block_until_ready(power(x))
     seconds = best_of(lambda: [jax.block_until_ready(power(x)) for _ in range(20)], 5, time.process_time) / 20
@@ -132,7 +136,7 @@ def _ceiling(n_edges: int) -> Measurement:
 
 
 def _scipy(law: HillNetwork, sets: Sets, ours: np.ndarray) -> Measurement:
-    """SciPy's LSODA in a loop over sets, the rate in NumPy."""
+    """Measure SciPy's LSODA solver in a loop over parameter sets, with the rate law in NumPy."""
     worst, begin = 0.0, time.process_time()
     for k in range(SCIPY_SETS):
         rate = numpy_rate(law, Sets(*(one[k] for one in sets)))
@@ -141,12 +145,12 @@ def _scipy(law: HillNetwork, sets: Sets, ours: np.ndarray) -> Measurement:
         )
         worst = max(worst, float(np.abs(y.y[:, -1] - ours[k]).max()))
     seconds = (time.process_time() - begin) * N_SETS / SCIPY_SETS
-    note = f"peer: LSODA in a loop, extrapolated from {SCIPY_SETS} sets; ends differ by {worst:.1e}"
+    note = f"peer: LSODA in a loop, extrapolated from {SCIPY_SETS} sets; final states differ by {worst:.1e}"
     return Measurement("SciPy solve_ivp", seconds, "s", note)
 
 
 def numpy_rate(law: HillNetwork, one: Sets):
-    """dy/dt (n_species,) of one parameter set in NumPy, as a reader of the paper would write it."""
+    """Return the function dy/dt (n_species,) [1/s] of one parameter set in plain NumPy, from the published equations."""
     species, reaction, is_negated = law.wiring.edges
     half = one.ec50**law.n
     B = (half - 1.0) / (2.0 * half - 1.0)
@@ -164,7 +168,7 @@ def numpy_rate(law: HillNetwork, one: Sets):
 
 
 def _runner(law: HillNetwork, sets: Sets, ours: np.ndarray) -> Measurement:
-    """The same network as SBML in libroadrunner (CVODE, compiled), where it is installed."""
+    """Measure libroadrunner (CVODE, compiled) on the same network in SBML, if it is installed."""
     name = "libroadrunner"
     try:
         import libsbml  # pyright: ignore[reportMissingImports]
@@ -173,7 +177,7 @@ def _runner(law: HillNetwork, sets: Sets, ours: np.ndarray) -> Measurement:
         return Measurement(name, float("nan"), "s", "not installed: pip install libroadrunner python-libsbml")
     runner = roadrunner.RoadRunner(sbml_text(law, libsbml))
     runner.integrator.relative_tolerance = ACCURACY.relative
-    # as a vector: a single number is scaled by the state, down to nothing (sys-bio/roadrunner issues 1300 and 1349)
+    # a vector, because a scalar tolerance is multiplied by the state and can become 0 (sys-bio/roadrunner issues 1300, 1349)
     runner.integrator.setValue("absolute_tolerance", [ACCURACY.absolute] * len(law.species))
     worst, spent = 0.0, []
     for k in range(RUNNER_SETS):
@@ -185,16 +189,18 @@ def _runner(law: HillNetwork, sets: Sets, ours: np.ndarray) -> Measurement:
         try:
             runner.simulate(0.0, DURATION, 2)
         except RuntimeError:
-            continue  # CVODE gives up on some sets; said in the note
+            continue  # CVODE fails on some sets; the note gives the number of sets that it finished
         spent.append(time.process_time() - begin)
         worst = max(worst, float(np.abs(np.array([runner[one] for one in law.species]) - ours[k]).max()))
-    note = f"peer: CVODE in a loop, extrapolated from {len(spent)} of {RUNNER_SETS} sets, which it finished"
+    note = f"peer: CVODE in a loop, extrapolated from the {len(spent)} of {RUNNER_SETS} sets that it finished"
     seconds = float(np.mean(spent)) * N_SETS if spent else float("nan")
-    return Measurement(name, seconds, "s", f"{note}; setting them not counted; ends differ by {worst:.1e}")
+    return Measurement(
+        name, seconds, "s", f"{note}; time to set parameters not counted; final states differ by {worst:.1e}"
+    )
 
 
 def sbml_text(law: HillNetwork, libsbml) -> str:
-    """The network as SBML: a rate rule for each species, a parameter for each tau, weight and EC50."""
+    """Return the network as an SBML document, with a rate rule per species and a parameter per time constant, weight and EC50."""
     document = libsbml.SBMLDocument(3, 1)
     model = document.createModel()
     values = {f"tau_{i}": v for i, v in enumerate(law.tau)} | dict.fromkeys(law.species, START)
@@ -216,7 +222,7 @@ def sbml_text(law: HillNetwork, libsbml) -> str:
 
 
 def _formula(r: int, rule: Rule, n: float) -> str:
-    """Flow of a reaction as printed: acts, and their product over w^(m-1)."""
+    """Return the flow of a reaction as an SBML formula: the product of its m Hill functions over w^(m-1)."""
     if rule.is_input:
         return f"w_{r}"
     half = f"E_{r}^{n}"

@@ -1,1 +1,1 @@
-"""Rates at a point: what cells do, one law per file."""
+"""Rate laws of cells at a point, one law per file."""

@@ -1,4 +1,4 @@
-"""The force with which a cell pulls at one bond, and how it follows the stiffness of what it pulls at."""
+"""Contractile force of a cell on one bond, and its dependence on the stiffness of the substrate."""
 
 from __future__ import annotations
 
@@ -12,64 +12,64 @@ from ..core.errors import InputError
 from ..core.law import Law, param
 
 
-class Pulling(NamedTuple):
-    """A contraction as a straight line: ``share`` f + ``give`` u = ``drive``, u the displacement of the site [um]."""
+class LinearContraction(NamedTuple):
+    """Linear relation of force f [pN] and substrate displacement u [um]: ``share`` f + ``give`` u = ``drive``."""
 
     drive: Array | float
-    """[pN]."""
+    """Right-hand side of the relation [pN]."""
     share: Array | float
-    """[1]."""
+    """Coefficient of the force [1]."""
     give: Array | float
-    """[pN/um]."""
+    """Coefficient of the displacement [pN/um]."""
 
 
-class Contraction(Protocol):
-    """What pulls."""
+class CellContraction(Protocol):
+    """Interface of the contractile force of a cell."""
 
     def force(self, stiffness: Array) -> Array:
-        """Force at a stiffness of the site (...) [pN/um] -> (...) [pN]."""
+        """Return the force at a substrate stiffness (...) [pN/um] -> (...) [pN]."""
         ...
 
-    def pulling(self) -> Pulling:
-        """The same as a line between force and displacement."""
+    def linear_form(self) -> LinearContraction:
+        """Return this law as a linear relation between force and displacement."""
         ...
 
     def check(self, stiffness: np.ndarray) -> None:
-        """Refuse stiffnesses [pN/um] at which it does not hold."""
+        """Raise an error for stiffnesses [pN/um] at which the law is not valid."""
         ...
 
 
 class ConstantForce(Law):
-    """The same force at every bond, whatever it pulls at.
+    """Constant force at every bond, independent of the substrate.
 
     Parameters
     ----------
     f : float or (...) array [pN]
-        The force; 5 to 12 pN with 7 in the middle in this group's tables.
+        Force; 5 to 12 pN in the tables of Buganza Tepole's group, with a middle value of 7 pN.
     """
 
     f: float | Array = param("pN", "f", low=0.0)
 
     def force(self, stiffness: Array) -> Array:
-        """f, of the shape of a stiffness (...) [pN/um] -> (...) [pN]."""
+        """Return f for every stiffness (...) [pN/um] -> (...) [pN]."""
         return self.f + jnp.zeros_like(stiffness)
 
-    def pulling(self) -> Pulling:
-        """The line of a constant force."""
-        return Pulling(self.f, 1.0, 0.0)
+    def linear_form(self) -> LinearContraction:
+        """Return the relation force = f, independent of the displacement."""
+        return LinearContraction(self.f, 1.0, 0.0)
 
     def check(self, stiffness: np.ndarray) -> None:
-        """Holds everywhere."""
+        """Accept every stiffness: the law is always valid."""
 
 
 class Feedback(Law):
-    r"""A cell that pulls harder at what is stiffer.
+    r"""Contractile force that increases with the stiffness of the substrate.
 
     .. math:: f = \frac{f_0}{1 - \beta + k_a / k_{eff} + k_a / k_N}
 
-    Source: Guo, Mofrad & Buganza Tepole, Eq. (25), after Cao et al. It holds only while the denominator is positive, which the
-    print does not say: elsewhere the answer is NaN, and ``check`` says the numbers. Limits: f0 / (1 - beta + k_a / k_N) on what
-    is rigid, f0 k_eff / k_a on what is soft.
+    Source: Guo, Mofrad & Buganza Tepole, Eq. (25), after Cao et al. It is valid only while the denominator is positive, which
+    the paper does not state: elsewhere the force is NaN, and ``check`` raises an error with the values. Limits:
+    f0 / (1 - beta + k_a / k_N) on a rigid substrate, f0 k_eff / k_a on a soft one.
 
     Parameters
     ----------
@@ -87,26 +87,26 @@ class Feedback(Law):
     k_N: float | Array = param("pN/um", "k_N", low=1e-12)
 
     def force(self, stiffness: Array) -> Array:
-        """Force at a stiffness k_eff (...) [pN/um] -> (...) [pN]; NaN where the feedback does not hold."""
+        """Return the force at a stiffness k_eff (...) [pN/um] -> (...) [pN]; NaN where the feedback is not valid."""
         below = (1.0 - self.beta + self.k_a / self.k_N) * stiffness + self.k_a
         return jnp.where(below > 0.0, self.f0 * stiffness / below, jnp.nan)
 
-    def pulling(self) -> Pulling:
-        """(1 - beta + k_a / k_N) f + k_a u = f0, with k_eff = f / u."""
-        return Pulling(self.f0, 1.0 - self.beta + self.k_a / self.k_N, self.k_a)
+    def linear_form(self) -> LinearContraction:
+        """Return the relation (1 - beta + k_a / k_N) f + k_a u = f0, which follows from k_eff = f / u."""
+        return LinearContraction(self.f0, 1.0 - self.beta + self.k_a / self.k_N, self.k_a)
 
     def check(self, stiffness: np.ndarray) -> None:
-        """Refuse stiffnesses k_eff [pN/um] at which the denominator of Eq. (25) is not positive.
+        """Raise an error for stiffnesses k_eff [pN/um] at which the denominator of Eq. (25) is not positive.
 
         Raises
         ------
         InputError
-            With the numbers.
+            If there is such a stiffness; the message gives the values.
         """
         below = 1.0 - np.asarray(self.beta) + np.asarray(self.k_a) * (1.0 / stiffness + 1.0 / np.asarray(self.k_N))
         if not np.all(below > 0.0):
             k = np.broadcast_to(stiffness, below.shape)[~(below > 0.0)].flat[0]
             raise InputError(
-                f"feedback does not hold: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got {np.min(below):.4g} at "
+                f"feedback is not valid: 1 - beta + k_a / k_eff + k_a / k_N must be positive; got {np.min(below):.4g} at "
                 f"k_eff = {k:.4g} pN/um (beta {np.max(self.beta):g}, k_a {np.min(self.k_a):g}, k_N {np.max(self.k_N):g} pN/um)"
             )

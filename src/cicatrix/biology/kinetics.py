@@ -1,4 +1,4 @@
-"""Reaction kinetics as SBML says them: rates at a point from expressions."""
+"""Reaction kinetics of SBML models: rates at a point, evaluated from expressions."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ import numpy as np
 from jax import Array
 
 Expression = tuple
-"""("number", 2.0), ("name", "k1"), ("time",), or a word of :data:`FUNCTIONS` with expressions: ("plus", a, b)."""
+"""Expression tree: ("number", 2.0), ("name", "k1"), ("time",), or a key of :data:`FUNCTIONS` with arguments: ("plus", a, b)."""
 
 TIME = "time"
 
 
 def _piecewise(*parts: Any) -> Any:
-    """Value, condition, value, condition, ..., and the value otherwise."""
+    """Return the first value whose condition is true; arguments: value, condition, value, condition, ..., default value."""
     value = parts[-1] if len(parts) % 2 else jnp.nan
     for k in range(len(parts) // 2 - 1, -1, -1):
         value = jnp.where(parts[2 * k + 1], parts[2 * k], value)
@@ -37,7 +37,7 @@ def _folded(pair: Callable, start: Any) -> Callable:
 
 
 def _chained(compare: Callable) -> Callable:
-    """Comparisons of neighbours, all of which must hold."""
+    """Return a function of any number of arguments that is true if ``compare`` is true for every pair of successive ones."""
     return lambda *parts: _folded(jnp.logical_and, True)(*(compare(a, b) for a, b in pairwise(parts)))
 
 
@@ -74,7 +74,7 @@ CONSTANTS = {"pi": math.pi, "exponentiale": math.e, "true": True, "false": False
 
 
 def evaluate(expression: Expression, values: Mapping[str, Any]) -> Any:
-    """Value of an expression; ``values`` holds every name in it, and ``time``."""
+    """Evaluate an expression; ``values`` has the value of every name in the expression, and of ``time``."""
     word, *parts = expression
     if word == "number":
         return parts[0]
@@ -86,7 +86,7 @@ def evaluate(expression: Expression, values: Mapping[str, Any]) -> Any:
 
 
 def names_in(expression: Expression) -> set[str]:
-    """Names that an expression heeds; ``time`` is one."""
+    """Return the names that an expression contains; ``time`` is one of them."""
     word, *parts = expression
     if word in ("number", "name", TIME):
         return {"number": set(), "name": set(parts), TIME: {TIME}}[word]
@@ -94,7 +94,7 @@ def names_in(expression: Expression) -> set[str]:
 
 
 class Kinetics(eqx.Module):
-    r"""States that follow kinetic laws: amounts per volume, or whatever else the model counts.
+    r"""Kinetic laws of an SBML model; its states are concentrations or other quantities of the model.
 
     .. math:: \dot y = f(y, k, t), \quad f \text{ by the model's rules and reactions}
 
@@ -105,13 +105,13 @@ class Kinetics(eqx.Module):
     species : tuple of str
         States (n_species,): species that reactions or rate rules change, and parameters with rate rules.
     input_names : tuple of str
-        Constants (n_inputs,): parameters, compartments, species that nothing changes. All of them are inputs.
+        Constants (n_inputs,): parameters, compartments and species that no rule or reaction changes. All of them are inputs.
     values : (n_inputs,) array
-        What the model gives them, in its own units.
+        Values of the constants in the model, in its own units.
     assigned : tuple of (str, Expression)
-        Names that rules or reactions compute, in an order in which each needs only those before it.
+        Names computed by rules or reactions, ordered so that each depends only on those before it.
     rates : tuple of Expression
-        Of every state, per ``seconds``.
+        Rate of every state, per ``seconds``.
     seconds : float [s]
         The model's unit of time.
     """
@@ -124,32 +124,32 @@ class Kinetics(eqx.Module):
     seconds: float = eqx.field(static=True, default=1.0)
 
     @property
-    def heeds_time(self) -> bool:
-        """Whether a rule or a rate names the time."""
+    def is_time_dependent(self) -> bool:
+        """Whether a rule or a rate contains the time."""
         return any(TIME in names_in(one) for one in (*self.rates, *(rule for _, rule in self.assigned)))
 
     @property
     def differentiable(self) -> dict[str, tuple[str, ...]]:
-        """Nothing but the inputs, which are all its constants."""
+        """Names of the parameter fields: an empty mapping, since all constants of the model are inputs."""
         return {}
 
     def rate(self, y: Array, inputs: Array | None = None, time: Array | float = 0.0) -> Array:
-        """dy/dt at states (..., n_species) under constants (..., n_inputs) at a time [s] -> (..., n_species) [1/s]."""
+        """Return dy/dt at states (..., n_species) under constants (..., n_inputs) at a time [s] -> (..., n_species) [1/s]."""
         return self.under(inputs).rate(y, time)
 
     def under(self, inputs: Array | None = None) -> BoundKinetics:
-        """The rates under constants (..., n_inputs) that are held."""
+        """Return the rates as a function of state and time alone, with fixed constants (..., n_inputs)."""
         return BoundKinetics(self, jnp.asarray(self.values if inputs is None else inputs))
 
 
 class BoundKinetics(eqx.Module):
-    """Kinetics under constants that are held."""
+    """Rates of an SBML model as a function of state and time, with fixed constants."""
 
     law: Kinetics
     inputs: Array
 
     def rate(self, y: Array, time: Array | float = 0.0) -> Array:
-        """dy/dt at states (..., n_species) at a time [s] -> (..., n_species) [1/s]."""
+        """Return dy/dt at states (..., n_species) at a time [s] -> (..., n_species) [1/s]."""
         y, law = jnp.asarray(y), self.law
         values = {name: self.inputs[..., k] for k, name in enumerate(law.input_names)}
         values |= {name: y[..., k] for k, name in enumerate(law.species)} | {TIME: time / law.seconds}

@@ -1,4 +1,4 @@
-"""The mechanical signal of a cell by Moreo, Garcia-Aznar and Doblare."""
+"""Mechanosensing law of a cell by Moreo, Garcia-Aznar and Doblare."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ from ..core.law import Law, param
 
 
 class Moreo(Law):
-    r"""What a cell feels at a strain of its surroundings: its passive stiffness, and its contractile machinery within a range.
+    r"""Stress that a cell senses at a strain of its surroundings: a passive part, and within a range a contractile part.
 
     .. math:: p = K_{pass} \, \theta + \begin{cases}
         \dfrac{K_{act} \, p_{max}}{K_{act} \theta_1 - p_{max}} (\theta_1 - \theta), & \theta_1 < \theta \le \theta^* \\
         \dfrac{K_{act} \, p_{max}}{K_{act} \theta_2 - p_{max}} (\theta_2 - \theta), & \theta^* < \theta < \theta_2 \end{cases}
 
-    with :math:`\theta^* = p_{max} / K_{act}`, where the contractile part is :math:`p_{max}`. Source: Guo, Mofrad & Buganza
-    Tepole, Eq. (19), after Moreo et al. (2008). It is continuous only where :math:`\theta_1 < \theta^* < \theta_2`, which the
-    print does not ask for; anything else is refused.
+    with :math:`\theta^* = p_{max} / K_{act}`, at which the contractile part is :math:`p_{max}`. Source: Guo, Mofrad &
+    Buganza Tepole, Eq. (19), after Moreo et al. (2008). The law is continuous only where
+    :math:`\theta_1 < \theta^* < \theta_2`, which the paper does not require; other values raise an error.
 
     Parameters
     ----------
     K_pass, K_act : float or (...) array [kPa]
         Passive stiffness of the cell, and stiffness of its contractile machinery.
     p_max : float or (...) array [kPa]
-        Most that the machinery pulls.
+        Maximum contractile stress.
     theta_1, theta_2 : float or (...) array [1]
-        Strains between which it pulls.
+        Strains between which the cell contracts.
 
     Raises
     ------
     InputError
-        With the inequality that does not hold.
+        If one of the inequalities is violated; the message says which.
     """
 
     K_pass: float | Array = param("kPa", "K_pass", low=0.0)
@@ -46,7 +46,7 @@ class Moreo(Law):
         super().__check_init__()
         values = (self.theta_1, self.p_max, self.K_act, self.theta_2)
         if not all(isinstance(value, (int, float, np.ndarray)) for value in values):
-            return  # inside a transformation: checked when the law was made
+            return  # traced values inside a JAX transformation; the law was checked when it was created
         peak = np.divide(self.p_max, self.K_act)
         for name, low, high in (
             ("theta_1 < p_max / K_act", self.theta_1, peak),
@@ -56,7 +56,7 @@ class Moreo(Law):
                 raise InputError(f"Moreo: {name} must hold; got {low} and {high}.")
 
     def signal(self, strain: Array) -> Array:
-        """p_cell at a strain theta (...) [1] -> (...) [kPa]."""
+        """Return the sensed stress p at a strain theta (...) [1] -> (...) [kPa]."""
         peak = self.p_max / self.K_act
         rising = (self.theta_1 - strain) / (self.theta_1 - peak)
         falling = (self.theta_2 - strain) / (self.theta_2 - peak)

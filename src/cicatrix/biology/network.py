@@ -13,12 +13,12 @@ from ..core.errors import InputError
 from ..core.law import Law, param
 from .wiring import Wiring
 
-TINY = 1e-250  # activities below count as this, whose powers are 0: exp and log are vectorised, powers are not
+TINY = 1e-250  # lower limit of x in x^n = exp(n log x), negligible like its powers; exp and log are vectorised, powers are not
 Inhibition = Literal["complement", "weighted"]
 
 
 class RateLaw(Protocol):
-    """What courses, steady states and fields ask of a network; they cannot tell Hill functions from SBML."""
+    """Interface of a network for time courses, steady states and continuum models, implemented by Hill and SBML networks."""
 
     @property
     def species(self) -> tuple[str, ...]:
@@ -27,71 +27,71 @@ class RateLaw(Protocol):
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """What may be set from outside (n_inputs,)."""
+        """Names of the inputs, which are set from outside (n_inputs,)."""
         ...
 
     @property
-    def heeds_time(self) -> bool:
-        """Whether the rate depends on time itself."""
+    def is_time_dependent(self) -> bool:
+        """Whether the rate depends explicitly on time."""
         ...
 
     @property
     def differentiable(self) -> dict[str, tuple[str, ...]]:
-        """Fields that hold its parameters, one-dimensional for one network, and what each number in them belongs to."""
+        """Names of the parameter fields (1-D for one network), each with the species or reactions of its values."""
         ...
 
     def rate(self, y: Array, inputs: Array | None = None, time: Array | float = 0.0) -> Array:
-        """dy/dt at states (..., n_species) under inputs (..., n_inputs) -> (..., n_species) [1/s]."""
+        """Return dy/dt at states (..., n_species) under inputs (..., n_inputs) and at a time [s] -> (..., n_species) [1/s]."""
         ...
 
     def under(self, inputs: Array | None = None) -> BoundRates:
-        """The rates under inputs that are held, for many states one after the other."""
+        """Return the rates as a function of state and time, with fixed inputs (..., n_inputs), for evaluation at many states."""
         ...
 
 
 class BoundRates(Protocol):
-    """Rates under inputs that are held."""
+    """Interface of a network's rates as a function of state and time, with fixed inputs."""
 
     def rate(self, y: Array, time: Array | float = 0.0) -> Array:
-        """dy/dt at states (..., n_species) -> (..., n_species) [1/s]."""
+        """Return dy/dt at states (..., n_species) and a time [s] -> (..., n_species) [1/s]."""
         ...
 
 
 class HillNetwork(Law):
-    r"""Activities of signalling species, each in [0, 1] of its greatest amount.
+    r"""Signalling network of Hill functions; the activity of a species is a fraction in [0, 1] of its greatest amount.
 
     .. math::
         \dot y_i = (F_i \, y_{max,i} - y_i) / \tau_i, \qquad
         act(x) = w \frac{B \, x^n}{K^n + x^n}, \quad B = \frac{E^n - 1}{2 E^n - 1}, \quad K^n = B - 1, \quad E = EC_{50}
 
     so that act(0) = 0, act(E) = w / 2, act(1) = w. NOT: 1 - act. AND of m factors: their product over :math:`w^{m-1}`. OR of
-    the reactions with the same target: x + y - x y. An input ``=> X`` is its weight. A species without a reaction decays.
+    the reactions with the same target: x + y - x y. An input ``=> X`` has its weight as value. A species without reaction decays.
 
     Source: Kraeutler, Soltis & Saucerman, BMC Systems Biology 4:157 (2010), as in the cardiac fibroblast network of Zeigler et
-    al., Journal of Molecular and Cellular Cardiology 94:72-81 (2016). Departures: act is computed as
-    :math:`w (1 - E^n) x^n / (E^n + (1 - 2 E^n) x^n)`, the same without the quotients; it is not cut off at w for x > 1
-    (y_max > 1); negative x, which a solver's error can bring, counts as 0. The product over :math:`w^{m-1}` is formed
+    al., Journal of Molecular and Cellular Cardiology 94:72-81 (2016). Differences from the source: act is computed as
+    :math:`w (1 - E^n) x^n / (E^n + (1 - 2 E^n) x^n)`, which is equal but avoids the quotients; it is not cut off at w for x > 1
+    (y_max > 1); negative x, which can arise from solver errors, counts as 0. The product over :math:`w^{m-1}` is formed
     without division by a power of a weight that may be 0, wherever its limit exists.
 
     Parameters
     ----------
     wiring : Wiring
-        Who acts on whom; its arrays are compiled in, so all parameter sets of a network share one program.
+        Connections of the network; its arrays are compile-time constants, so all parameter sets share one program.
     y_max : (..., n_species) array [1]
-        Greatest activities; 0 is a knock-out.
+        Maximum activities; 0 is a knock-out.
     tau : (..., n_species) array [s]
-        Times within which activities follow.
+        Time constants of the activities.
     weight, n, ec50 : (..., n_reactions) array [1]
-        Of every reaction: weight in [0, 1]; Hill exponent from 1, for below it the slope at 0 is not finite; half-maximal
-        activity above 0 and below :math:`2^{-1/n}` (0.6095 for n = 1.4), where B and K^n are above 0.
+        Parameters of every reaction: weight in [0, 1]; Hill exponent of at least 1, since the slope at 0 is infinite below;
+        half-maximal activity above 0 and below :math:`2^{-1/n}` (0.6095 for n = 1.4), so that B and K^n are above 0.
     inhibition : str
-        "complement": NOT is 1 - act, as printed; an inhibited reaction of small weight is then a strong one where its inhibitor
-        lacks. "weighted": NOT is w - act, as the program Netflux has it; equal for w = 1, and nothing for w = 0.
+        "complement": NOT is 1 - act, as printed; an inhibited reaction of small weight then activates its target almost fully,
+        since act <= w. "weighted": NOT is w - act, as in the program Netflux; equal to 1 - act for w = 1, and 0 for w = 0.
 
     Raises
     ------
     InputError
-        If a parameter is out of its range, naming species or reaction.
+        If a parameter is out of its range; the message names the species or reaction.
     """
 
     wiring: Wiring = param("1", "wiring", static=True)
@@ -105,7 +105,7 @@ class HillNetwork(Law):
     def __check_init__(self):
         fields = (self.y_max, self.tau, self.weight, self.n, self.ec50)
         if not all(isinstance(value, np.ndarray) for value in fields):
-            return  # inside a transformation: checked when the law was made
+            return  # traced values inside a JAX transformation; the law was checked when it was created
         species, reactions = self.wiring.species, self.wiring.reactions
         _check("y_max", self.y_max, self.y_max >= 0.0, "at least 0", "species", species)
         _check("tau", self.tau, self.tau > 0.0, "above 0 s", "species", species)
@@ -114,7 +114,7 @@ class HillNetwork(Law):
         self._check_ec50()
         if self.inhibition == "complement":
             is_finite = (self.weight > 0.0) | (self.wiring.n_negated < 2)
-            words = "above 0 in an AND of two inhibitors and more, which is divided by it"
+            words = "above 0 in an AND of two inhibitors or more, which is divided by it"
             _check("weight", self.weight, is_finite, words, "reaction", reactions)
 
     def _check_ec50(self) -> None:
@@ -133,35 +133,35 @@ class HillNetwork(Law):
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Species with a reaction ``=> X`` (n_inputs,)."""
+        """Names of the species X with a reaction ``=> X`` (n_inputs,)."""
         return self.wiring.input_names
 
     @property
-    def heeds_time(self) -> bool:
-        """It does not."""
+    def is_time_dependent(self) -> bool:
+        """Return False: the rates do not depend explicitly on time."""
         return False
 
     @property
     def differentiable(self) -> dict[str, tuple[str, ...]]:
-        """Parameters by species and by reaction."""
+        """Names of the parameter fields, each with the species or reactions of its values."""
         species, reactions = self.wiring.species, self.wiring.reactions
         return {"y_max": species, "tau": species, "weight": reactions, "n": reactions, "ec50": reactions}
 
     def rate(self, y: Array, inputs: Array | None = None, time: Array | float = 0.0) -> Array:
-        """dy/dt at activities (..., n_species) [1] -> (..., n_species) [1/s].
+        """Return dy/dt at activities (..., n_species) [1] -> (..., n_species) [1/s].
 
-        ``inputs`` (..., n_inputs) [1] take the place of the weights of the reactions ``=> X``, in the order of ``input_names``.
-        Leading axes of states, inputs and parameters broadcast. ``time`` does not matter.
+        ``inputs`` (..., n_inputs) [1] replace the weights of the reactions ``=> X``, in the order of ``input_names``.
+        Leading axes of states, inputs and parameters broadcast. ``time`` is not used.
         """
         return self.under(inputs).rate(y, time)
 
     def activation(self, y: Array, inputs: Array | None = None) -> Array:
-        """F, how much every species is driven, at activities (..., n_species) [1] -> (..., n_species) [1]."""
+        """Return F, the activation of every species, at activities (..., n_species) [1] -> (..., n_species) [1]."""
         bound = self.under(inputs)
         return jnp.moveaxis(bound.driven(_first(y), _width(y, bound.lead)), 0, -1)
 
     def under(self, inputs: Array | None = None) -> HillRates:
-        """The rates under inputs (..., n_inputs) [1], with all that does not depend on the state computed once."""
+        """Return the rates with fixed inputs (..., n_inputs) [1]; terms that do not depend on the state are computed once."""
         _, reaction, is_negated = self.wiring.edges
         weight, n, half = self._weights(inputs), jnp.asarray(self.n), jnp.asarray(self.ec50) ** self.n
         is_plain = self.inhibition == "weighted" or not is_negated.any()
@@ -177,7 +177,7 @@ class HillNetwork(Law):
         )
 
     def _weights(self, inputs: Array | None) -> Array:
-        """Weights (..., n_reactions) with the inputs put in."""
+        """Return the weights (..., n_reactions), with the inputs in place of the weights of ``=> X``."""
         weight = jnp.asarray(self.weight)
         if inputs is None or not self.input_names:
             return weight
@@ -188,36 +188,36 @@ class HillNetwork(Law):
 
 
 class HillRates(eqx.Module):
-    """Rates of a network whose parameters and inputs are known; inside, the batch is last: every species is a contiguous row."""
+    """Rates of a network with fixed parameters and inputs; batch axes come last, so that every species is a contiguous row."""
 
     wiring: Wiring = eqx.field(static=True)
     y_max: Array
     tau: Array
     n: Array
-    """Of every edge (n_edges, ...), as the two below."""
+    """Hill exponent of every edge, that is of every factor of a reaction (n_edges, ...)."""
     offset: Array
     slope: Array
-    """act / w = x^n / (offset + slope x^n)."""
+    """Coefficients of act / w = x^n / (offset + slope x^n) of every edge: ``offset`` and ``slope`` (n_edges, ...)."""
     weight: Array | None
-    """Of every edge with ``!``, where NOT is 1 - act."""
+    """Weight of every negated edge if NOT is 1 - act; None if NOT is w - act."""
     scale: Array
-    """What the product of a reaction's factors is multiplied with (n_reactions, ...)."""
+    """Multiplier of the product of each reaction's factors (n_reactions, ...)."""
 
     @property
     def lead(self) -> tuple[int, ...]:
-        """Batch axes of parameters and inputs."""
+        """Batch shape of parameters and inputs."""
         arrays = (self.y_max, self.tau, self.n, self.offset, self.slope, self.scale)
         return np.broadcast_shapes(*(array.shape[1:] for array in arrays))
 
     def rate(self, y: Array, time: Array | float = 0.0) -> Array:
-        """dy/dt at activities (..., n_species) [1] -> (..., n_species) [1/s]."""
+        """Return dy/dt at activities (..., n_species) [1] -> (..., n_species) [1/s]."""
         width, rows = _width(y, self.lead), _first(y)
         F = self.driven(rows, width)
         rate = (F * _wide(self.y_max, width) - _wide(rows, width)) / _wide(self.tau, width)
         return jnp.moveaxis(rate, 0, -1)
 
     def driven(self, y: Array, width: int) -> Array:
-        """F (n_species, ...) at activities (n_species, ...), in ``width`` batch axes."""
+        """Return the activation F (n_species, ...) [1] at activities (n_species, ...) [1]; both get ``width`` batch axes."""
         species, _, is_negated = self.wiring.edges
         log = jnp.log(jnp.maximum(_wide(y, width), TINY))
         x = jnp.exp(_wide(self.n, width) * _rows(log, species))
@@ -232,7 +232,7 @@ class HillRates(eqx.Module):
 
 
 def _power(weight: Array, exponent: np.ndarray) -> Array:
-    """Weights (..., n_reactions) to whole powers (n_reactions,) of at most 1."""
+    """Raise weights (..., n_reactions) to powers given by integer exponents (n_reactions,), each at most 1."""
     safe = jnp.where(exponent < 0, weight, 1.0)
     return jnp.where(exponent == 1, weight, safe ** jnp.minimum(exponent, 0))
 
@@ -242,7 +242,7 @@ def _rows(rows: Array, which: np.ndarray) -> Array:
 
 
 def _gathered_product(rows: Array, members: np.ndarray) -> Array:
-    """Products of rows (n, ...) over members (m, most), where n stands for 1 -> (m, ...)."""
+    """Multiply rows (n, ...) over the indices ``members`` (m, most) -> (m, ...); index n stands for the factor 1."""
     rows = jnp.concatenate([rows, jnp.ones((1, *rows.shape[1:]), rows.dtype)])
     product = _rows(rows, members[:, 0])
     for column in members.T[1:]:
@@ -251,7 +251,7 @@ def _gathered_product(rows: Array, members: np.ndarray) -> Array:
 
 
 def _first(values: Array) -> Array:
-    """(..., n) -> (n, ...)."""
+    """Move the last axis to the front: (..., n) -> (n, ...)."""
     return jnp.moveaxis(jnp.asarray(values), -1, 0)
 
 
@@ -260,7 +260,7 @@ def _width(y: Array, lead: tuple[int, ...]) -> int:
 
 
 def _wide(rows: Array, width: int) -> Array:
-    """(n, ...) with ones before the batch axes, so that there are ``width`` of these."""
+    """Insert axes of length 1 before the batch axes of (n, ...), so that there are ``width`` batch axes."""
     return rows.reshape(rows.shape[0], *(1,) * (width + 1 - rows.ndim), *rows.shape[1:])
 
 

@@ -1,4 +1,4 @@
-"""A signalling network as read from a file: rate law, start and inputs."""
+"""Signalling network read from a file: rate law, initial state and inputs."""
 
 from __future__ import annotations
 
@@ -9,18 +9,18 @@ import numpy as np
 from .network import RateLaw
 
 
-class Model(NamedTuple):
-    """A network, where it starts, and what its states are measured by."""
+class NetworkModel(NamedTuple):
+    """A network with its initial state and the scales of its states."""
 
     law: RateLaw
     start: np.ndarray
-    """(n_species,)."""
+    """Initial state (n_species,)."""
     inputs: np.ndarray
-    """Its own values of the inputs (n_inputs,)."""
+    """Values of the inputs given in the network's file (n_inputs,)."""
     high: np.ndarray
-    """Greatest activities (n_species,); of SBML twice the start, or 1."""
+    """Upper limit of each state (n_species,): the maximum activity; for SBML twice the initial value, or 1 if that is 0."""
     slowest_h: float | None
-    """Slowest time of the network, if it has one."""
+    """Largest time constant of the network [h]; None if its file declares no time constants."""
     is_normalised: bool
-    """Inputs lie in [0, 1]; a start anywhere below ``high`` makes sense."""
+    """Whether inputs lie in [0, 1] and every state from 0 to ``high`` is meaningful."""
     notes: tuple[str, ...] = ()

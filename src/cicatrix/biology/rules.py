@@ -22,26 +22,26 @@ HINTS = {
 }
 
 
-class Factor(NamedTuple):
-    """A species that a reaction heeds, or the lack of it."""
+class RuleFactor(NamedTuple):
+    """A species that activates a reaction, or inhibits it if negated."""
 
     species: str
     is_negated: bool
 
 
 class Rule(NamedTuple):
-    """All factors together (AND) act on the target; none: an input."""
+    """Reaction in which all factors together (AND) act on the target; a reaction without factors is an input."""
 
-    factors: tuple[Factor, ...]
+    factors: tuple[RuleFactor, ...]
     target: str
 
     @property
     def is_input(self) -> bool:
-        """Whether nothing in the network drives it."""
+        """Whether the reaction has no factors, so that it is an input of the network."""
         return not self.factors
 
     def __str__(self) -> str:
-        """As it is written."""
+        """Return the rule as text."""
         left = " & ".join(("!" if factor.is_negated else "") + factor.species for factor in self.factors)
         return f"{left} => {self.target}".strip()
 
@@ -49,16 +49,17 @@ class Rule(NamedTuple):
 class _Token(NamedTuple):
     text: str
     column: int
-    """From 1."""
+    """Column of the token's first character, counted from 1."""
 
 
 def parse_rule(text: str) -> Rule:
-    """Read a rule: factors joined by ``&``, ``!`` before those that inhibit, ``=>``, one target; ``=> TGFB`` is an input.
+    """Parse a rule: factors joined by ``&``, inhibiting ones after ``!``, then ``=>`` and one target; ``=> TGFB`` is an input.
 
     Raises
     ------
     InputError
-        With the column, what stands there and what should; the sentence lacks its subject, the reaction.
+        If the rule is not valid. The message gives the column, what was found and what was expected; the caller puts the
+        name of the reaction before it.
     """
     tokens = [_Token(found[1], found.start(1) + 1) for found in TOKEN.finditer(text)]
     tokens.append(_Token("", len(text.rstrip()) + 1))
@@ -68,7 +69,7 @@ def parse_rule(text: str) -> Rule:
             i = _passed(text, tokens, i, "&", '"&" or "=>"')
         is_negated = tokens[i].text == "!"
         i += is_negated
-        factors.append(Factor(_name(text, tokens, i), is_negated))
+        factors.append(RuleFactor(_name(text, tokens, i), is_negated))
         i += 1
     target = _name(text, tokens, i + 1)
     _passed(text, tokens, i + 2, "", "one target and then the end of the rule")
@@ -76,7 +77,7 @@ def parse_rule(text: str) -> Rule:
 
 
 def unknown_species(name: str, known: Iterable[str], kind: str = "species") -> str:
-    """Say that a species, or what else it should be, is not there, and which known one is nearest."""
+    """Return the message that a name (of a species, or another ``kind``) is unknown, with the most similar known name."""
     lower = {one.lower(): one for one in known}
     near = difflib.get_close_matches(name.lower(), lower, n=1)
     if near:

@@ -1,4 +1,4 @@
-"""Single bonds that close and open at random: in fixed steps, or at the very times."""
+"""Stochastic simulation of independent bonds: in fixed time steps, or with exact event times."""
 
 from __future__ import annotations
 
@@ -13,20 +13,22 @@ from ..core.random import Phase, site_words, threshold
 def monte_carlo(
     bound: np.ndarray, chance_on: np.ndarray, chance_off: np.ndarray, seed: int, first_step: int
 ) -> np.ndarray:
-    """Bonds after some fixed steps: Guo, Mofrad & Buganza Tepole, Eqs (20) and (21).
+    """Simulate bonds over fixed time steps: Guo, Mofrad & Buganza Tepole, Eqs (20) and (21).
 
     Parameters
     ----------
     bound : (g, n) uint8 array
         1 where a bond is closed, n bonds in each of g cells.
     chance_on, chance_off : (steps, g) array [1]
-        P_on and P_off in each step; :meth:`.adhesion.Adhesion.chances`. They are rounded down to multiples of 2^-32.
+        P_on and P_off in each step; :meth:`.adhesion.Adhesion.step_probabilities`. They are rounded down to multiples of 2^-32.
     seed, first_step : int
-        A draw belongs to seed, bond and step: the same bits come from any number of threads, and in any portions of steps.
+        Random numbers depend only on seed, bond and step: the result is the same, to the bit, for any number of threads and
+        any division of the steps into calls.
 
     Returns
     -------
     (g, n) uint8 array
+        1 where a bond is closed at the end.
     """
     key = np.array([seed & 0xFFFFFFFF, seed >> 32], np.uint32)
     return switch_states(
@@ -49,10 +51,11 @@ def exact(
     seed: int,
     interval: int,
 ) -> np.ndarray:
-    """Bonds after an interval of time, each switched at the times that its rates ask for: no step, no error.
+    """Simulate bonds over a time interval with exact event times, without time-step error.
 
-    Bonds that do not share their load are independent, so each has its own exponential waits (Gillespie 1976, bond by bond).
-    Where a rate changes in time, candidates come at its upper bound and are taken with the ratio (Lewis & Shedler 1979).
+    Bonds that do not share their load are independent, so each has its own exponential waiting times (Gillespie 1976, bond
+    by bond). If a rate changes in time, candidate events are drawn at its upper bound and accepted with probability rate over
+    bound (thinning, Lewis & Shedler 1979).
 
     Parameters
     ----------
@@ -61,15 +64,17 @@ def exact(
     times : (start, end) [s]
         The interval.
     k_on, most : (g,) array [1/s]
-        Rate of closing, and of opening: an upper bound of it if ``k_off`` is given.
+        Closing rate, and opening rate or, if ``k_off`` is given, an upper bound of it.
     k_off : callable, optional
-        Rate of opening at times (m,) [s] of bonds in cells (m,) -> (m,) [1/s].
+        Opening rate at times (m,) [s] of bonds in cells (m,) -> (m,) [1/s].
     seed, interval : int
-        A draw belongs to seed, bond, interval and its number in there; intervals follow each other with numbers of their own.
+        Random numbers depend only on the seed, the bond, the number of the interval, and the number of the event within it;
+        successive intervals need different numbers.
 
     Returns
     -------
     (g, n) uint8 array
+        1 where a bond is closed at the end.
     """
     state = np.array(bound, bool).ravel()
     left, time = np.arange(state.size), np.full(state.size, times[0])
@@ -91,6 +96,6 @@ def exact(
 
 
 def _uniform(high: np.ndarray, low: np.ndarray) -> np.ndarray:
-    """Number between 0 and 1, never one of them, from two words (...) uint32."""
+    """Return numbers in the open interval (0, 1) from high and low random words, each (...) uint32 -> (...)."""
     whole = high.astype(np.uint64) << np.uint64(20) | low.astype(np.uint64) >> np.uint64(12)
     return (whole.astype(float) + 0.5) * 2.0**-52

@@ -1,4 +1,4 @@
-"""How cells feel the tissue about them: by its strain, or by the traction at adhesions that they close and open."""
+"""Mechanosensing of cells: by the strain of the tissue, or by the traction at their adhesions."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from .signals import Signal
 
 
 class Sensing(Law):
-    """A mechanical signal with the adhesion that its traction comes from, if it heeds any.
+    """Mechanosensing of a cell: a mechanical signal and, optionally, the adhesion whose traction it depends on.
 
     Parameters
     ----------
     signal : Signal
-        H.
+        Mechanical signal H.
     adhesion : Adhesion, optional
-        Its bonds are a state, before those of the signal; without it the traction is 0.
+        Adhesion; its bound fraction is the first state, and the states of the signal follow. Without it the traction is 0.
     """
 
     signal: Signal
@@ -26,11 +26,11 @@ class Sensing(Law):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the states (n_states,)."""
+        """Names of the states (n_states,)."""
         return (("bound",) if self.adhesion else ()) + tuple(self.signal.names)
 
     def rate(self, y: Array, stretch: Array, strain: Array) -> Array:
-        """Of states (..., n_states) at an elastic stretch (...) of fibres and a strain (...) [1] -> (..., n_states) [1/s]."""
+        """Return rates of states (..., n_states) at an elastic fibre stretch and strain (...) [1] -> (..., n_states) [1/s]."""
         if self.adhesion is None:
             return self.signal.rate(y, jnp.zeros_like(strain), strain)
         bound = self.adhesion.rate(y[..., 0], stretch)
@@ -38,12 +38,12 @@ class Sensing(Law):
         return jnp.concatenate([bound[..., None], rest], axis=-1)
 
     def value(self, y: Array, stretch: Array, strain: Array) -> Array:
-        """H (...) in [0, 1]."""
+        """Return the signal H (...) in [0, 1] in states (..., n_states) at an elastic fibre stretch and strain (...) [1]."""
         own = y if self.adhesion is None else y[..., 1:]
         return self.signal.value(own, self.traction(y, stretch), strain)
 
     def traction(self, y: Array, stretch: Array) -> Array:
-        """t_a at the adhesions (...) [kPa]."""
+        """Return the traction t_a at the adhesions (...) [kPa] in states (..., n_states) at a fibre stretch (...) [1]."""
         if self.adhesion is None:
             return jnp.zeros_like(stretch)
-        return self.adhesion.traction(self.adhesion.anchored(stretch).force, y[..., 0])
+        return self.adhesion.traction(self.adhesion.steady_state(stretch).force, y[..., 0])

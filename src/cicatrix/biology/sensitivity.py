@@ -1,4 +1,4 @@
-"""What a network's states owe to each of its parameters."""
+"""Sensitivities of the states of a network to its parameters."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import numpy as np
 from jax import Array
 
 from ..numerics.ode import Accuracy
-from .courses import end_of
+from .courses import end_state
 from .network import RateLaw
 
 INPUT = "input"
-CONSERVED = 1e-10  # reciprocal condition below which a Jacobian has no inverse
+CONSERVED = 1e-10  # reciprocal condition number below which a Jacobian counts as singular
 Sensitivities = dict[str, np.ndarray]
-"""Kind of parameter (a field of the law, or "input") -> dy/dp (n_species, n of them)."""
+"""Kind of parameter (a field of the law, or "input") -> dy/dp (n_species, n parameters)."""
 
 
 def of_steady_state(law: RateLaw, inputs: np.ndarray, y: np.ndarray) -> Sensitivities | None:
-    """Derivatives of a steady state (n_species,), by the implicit function theorem: -J^-1 df/dp.
+    """Return derivatives of a steady state (n_species,) with respect to parameters p, by implicit differentiation: -J^-1 df/dp.
 
-    None where J is singular, as where quantities are conserved: the state then depends on its start.
+    Return None if J is singular, for example if quantities are conserved: the steady state then depends on the initial state.
     """
     J, by = _derivatives(law, jnp.asarray(inputs), jnp.asarray(y))
     J = np.asarray(J)
@@ -35,16 +35,16 @@ def of_steady_state(law: RateLaw, inputs: np.ndarray, y: np.ndarray) -> Sensitiv
 def of_end(
     law: RateLaw, inputs: np.ndarray, start: np.ndarray, corners: np.ndarray, accuracy: Accuracy
 ) -> Sensitivities:
-    """Derivatives of the state at a course's end (as :func:`.courses.end_of`), through the solver's steps.
+    """Return derivatives of the final state of a time course (:func:`.courses.end_state`), by differentiating the solver's steps.
 
-    That by an input is of the same change in all segments.
+    The derivative with respect to an input is for an equal change of that input in all time segments.
     """
     by = _end_derivatives(law, jnp.asarray(inputs), jnp.asarray(start), jnp.asarray(corners), accuracy)
     return {kind: np.asarray(columns) for kind, columns in by.items()}
 
 
 def parameters(law: RateLaw) -> dict[str, Array]:
-    """Arrays of a law that may be differentiated by."""
+    """Return the differentiable parameters of a law: field -> array."""
     return {name: jnp.asarray(getattr(law, name)) for name in law.differentiable}
 
 
@@ -65,6 +65,6 @@ def _derivatives(law: RateLaw, inputs: Array, y: Array) -> tuple[Array, dict[str
 @eqx.filter_jit
 def _end_derivatives(law: RateLaw, inputs: Array, start: Array, corners: Array, accuracy: Accuracy) -> dict[str, Array]:
     def end(values: dict[str, Array]) -> Array:
-        return end_of(_put(law, values), inputs + values[INPUT], start, corners, accuracy)
+        return end_state(_put(law, values), inputs + values[INPUT], start, corners, accuracy)
 
     return jax.jacrev(end)(parameters(law) | {INPUT: jnp.zeros(inputs.shape[1:])})

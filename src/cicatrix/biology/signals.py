@@ -1,4 +1,4 @@
-"""What a cell makes of the traction at its adhesions and of the strain about it: a number from 0 to 1."""
+"""Mechanotransduction: signal in [0, 1] of a cell from the traction at its adhesions and the strain around it."""
 
 from __future__ import annotations
 
@@ -18,82 +18,82 @@ from .rules import unknown_species
 
 
 class Signal(Protocol):
-    """A mechanical signal, which may have states of its own."""
+    """Interface of a mechanical signal, which may have states of its own."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of its states (n_states,)."""
+        """Names of the states of the signal (n_states,)."""
         ...
 
     def rate(self, y: Array, traction: Array, strain: Array) -> Array:
-        """Rate of its states (..., n_states) at a traction (...) [kPa] and a strain (...) [1] -> (..., n_states) [1/s]."""
+        """Return rates of states (..., n_states) at a traction (...) [kPa] and a strain (...) [1] -> (..., n_states) [1/s]."""
         ...
 
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
-        """H (...) in [0, 1]; 0 where the cell feels nothing."""
+        """Return H (...) in [0, 1] at states (..., n_states), traction (...) [kPa] and strain (...) [1]; 0 without stimulus."""
         ...
 
 
 class _WithoutStates(Law):
-    """A signal that follows at once."""
+    """Base class of signals without states, which respond instantaneously."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """None."""
+        """Empty tuple, since there are no states."""
         return ()
 
     def rate(self, y: Array, traction: Array, strain: Array) -> Array:
-        """Of no states."""
+        """Return the empty array of rates, since there are no states."""
         return y
 
 
 class TractionSignal(_WithoutStates):
-    r"""Traction that saturates, :math:`H = \langle t_a - t_0 \rangle / (K + \langle t_a - t_0 \rangle)`.
+    r"""Signal that saturates with traction, :math:`H = \langle t_a - t_0 \rangle / (K + \langle t_a - t_0 \rangle)`.
 
-    Guo, Mofrad & Buganza Tepole print constants in its place (Eqs 28-30) and say in words that production follows t_a; that it
-    saturates, and is 0 without traction, is read into them. Cells pull at tissue that is not stretched, too: with the traction
-    there as t_0 such tissue stays as it is; with 0 it grows.
+    In place of H, Guo, Mofrad & Buganza Tepole print constants (Eqs 28-30), but their text says that production depends on t_a;
+    that H saturates, and is 0 without traction, is an interpretation. Cells also pull on unstretched tissue: if t_0 is their
+    traction there, such tissue does not change; with t_0 = 0 it grows.
 
     Parameters
     ----------
     K : float or (...) array [kPa]
-        Traction beyond t_0 of half the effect.
+        Traction above t_0 at which H is one half.
     threshold : float or (...) array [kPa]
-        t_0.
+        Traction t_0 below which H is 0.
     """
 
     K: float | Array = param("kPa", "K_t", above=0.0, default=1.0)
     threshold: float | Array = param("kPa", "t_0", low=0.0, default=0.0)
 
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
-        """H (...)."""
+        """Return the signal H (...) in [0, 1] at a traction (...) [kPa]."""
         return _saturated(traction - self.threshold, self.K)
 
 
-class Unfelt(_WithoutStates):
+class NoMechanosensing(_WithoutStates):
     """No mechanosensing: H = 0."""
 
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
-        """0 (...)."""
+        """Return H = 0 at every point (...)."""
         return jnp.zeros_like(strain)
 
 
 class LogisticSignal(_WithoutStates):
-    r"""Elastic stretch of area, of volume in a solid, that switches cells on.
+    r"""Logistic signal of the elastic area stretch, or of the volume stretch in a solid.
 
     .. math:: H = 1 / (1 + e^{-\gamma (\theta - \theta_{ref})})
 
-    Source: docs/theory/wound.md. The sign in the exponent matters: one published code has a plus there and is always on. Below
-    ``least`` it is 0.
+    Source: docs/theory/wound.md. The sign in the exponent matters: one published code has a plus there and its signal is always
+    on. H below ``least`` is set to 0.
 
     Parameters
     ----------
     theta_ref : float or (...) array [1]
-        Area stretch at which H is one half; the strain felt is :math:`\theta - 1`.
+        Area stretch at which H is one half; the strain argument is :math:`\theta - 1`.
     gamma : float or (...) array [1]
-        How steep.
+        Steepness.
     least : float or (...) array [1]
-        Smallest H that counts.
+        Smallest H that is not set to 0.
     """
 
     theta_ref: float | Array = param("1", "theta_ref", above=0.0, default=2.0)
@@ -101,48 +101,48 @@ class LogisticSignal(_WithoutStates):
     least: float | Array = param("1", "H_min", low=0.0, high=1.0, default=0.002)
 
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
-        """H (...)."""
+        """Return the signal H (...) in [0, 1] at an area or volume strain (...) [1]."""
         H = sigmoid(self.gamma * (1.0 + strain - self.theta_ref))
         return jnp.where(self.least > H, 0.0, H)
 
 
 class StrainSignal(_WithoutStates):
-    r"""Moreo's stress of a cell, Eq. (19), that saturates, :math:`H = \langle p \rangle / (K + \langle p \rangle)`.
+    r"""Signal that saturates with Moreo's cell stress, Eq. (19), :math:`H = \langle p \rangle / (K + \langle p \rangle)`.
 
     Parameters
     ----------
     cell : Moreo
-        What the cell feels at a strain.
+        Stress that the cell senses at a strain.
     K : float or (...) array [kPa]
-        Stress of half the effect.
+        Stress at which H is one half.
     """
 
     cell: Moreo
     K: float | Array = param("kPa", "K_p", above=0.0, default=1.0)
 
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
-        """H (...)."""
+        """Return the signal H (...) in [0, 1] at a strain (...) [1]."""
         return _saturated(self.cell.signal(strain), self.K)
 
 
 class NetworkSignal(Law):
-    """Activity of one species of a signalling network, one input of which is the traction that saturates.
+    """Activity of one species of a signalling network that has the saturating traction signal as an input.
 
     Parameters
     ----------
     network : HillNetwork
-        Its activities are states.
+        Signalling network; its activities are the states.
     driven : str
-        The input that the traction drives; the others keep the weights of the network.
+        Input that the traction drives; the other inputs keep their weights in the network.
     output : str
-        The species whose activity, over its largest one, is the signal.
+        Species whose activity, divided by its maximum, is the signal.
     traction : TractionSignal
-        How the traction saturates.
+        Saturation law of the traction.
 
     Raises
     ------
     InputError
-        If the network has no such input or species, naming those it has.
+        If the network has no such input or species, or if y_max of the output is 0.
     """
 
     network: HillNetwork
@@ -163,7 +163,7 @@ class NetworkSignal(Law):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Species of the network."""
+        """Names of the species of the network (n_species,)."""
         return self.network.species
 
     @property
@@ -171,14 +171,14 @@ class NetworkSignal(Law):
         return self.network.species.index(self.output)
 
     def rate(self, y: Array, traction: Array, strain: Array) -> Array:
-        """Of the network's activities (..., n_species)."""
+        """Return rates of the network's activities (..., n_species) [1] at a traction (...) [kPa] -> (..., n_species) [1/s]."""
         own = jnp.asarray(self.network.weight)[..., self.network.wiring.input_reactions]
-        felt = self.traction.value(y, traction, strain)
-        inputs = jnp.broadcast_to(own, (*felt.shape, own.shape[-1]))
-        return self.network.rate(y, inputs.at[..., self.network.input_names.index(self.driven)].set(felt))
+        stimulus = self.traction.value(y, traction, strain)
+        inputs = jnp.broadcast_to(own, (*stimulus.shape, own.shape[-1]))
+        return self.network.rate(y, inputs.at[..., self.network.input_names.index(self.driven)].set(stimulus))
 
     def value(self, y: Array, traction: Array, strain: Array) -> Array:
-        """H (...)."""
+        """Return the signal H (...) in [0, 1] at activities y (..., n_species) [1]."""
         return jnp.clip(y[..., self._row] / jnp.asarray(self.network.y_max)[..., self._row], 0.0, 1.0)
 
 

@@ -1,4 +1,4 @@
-"""Steady states of a network: where it comes to rest from several starts, and where it could rest but does not."""
+"""Steady states of a network: those reached from given initial states, and others found by Newton's method."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ import numpy as np
 from jax import Array
 
 from ..numerics.ode import Accuracy
-from .courses import follow
+from .courses import integrate
 from .network import RateLaw
 
-AT_REST = 1e-4  # of the range, within the slowest time: what Newton's method then settles
-SAME = 1e-5  # of the range: nearer states are one
-NEUTRAL = 1e-7  # of the fastest rate: an eigenvalue that is 0 but for rounding
-BETWEEN = 9  # starts of Newton's method between each two stable states
+AT_REST = 1e-4  # Newton's method takes over below this change within the slowest time, relative to the range
+SAME = 1e-5  # difference, relative to the range of values, below which two states count as the same
+NEUTRAL = 1e-7  # eigenvalues below this, relative to the largest one, count as 0
+BETWEEN = 9  # initial guesses of Newton's method between each pair of states found
 ITERATIONS = 50
-HALVES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # of a step
-N_TIMES = 102  # of every course in a run, so that all of them share one program
+HALVES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # fractions of a Newton step that the line search tries
+N_TIMES = 102  # output times of every course in a run, so that all of them share one compiled program
 
 
 class SteadyState(NamedTuple):
-    """A state that does not move."""
+    """Steady state of a network."""
 
     y: np.ndarray
-    """(n_species,)."""
+    """State (n_species,)."""
     growth: float
-    """Largest real part of an eigenvalue of the Jacobian [1/s], those of conserved quantities left out."""
+    """Largest real part of the eigenvalues of the Jacobian [1/s], without those of conserved quantities."""
     n_starts: int
-    """Starts that came to rest here."""
+    """Number of initial states whose time course ends in this state."""
 
     @property
     def is_stable(self) -> bool:
@@ -41,23 +41,23 @@ class SteadyState(NamedTuple):
 
 
 class SteadyStates(NamedTuple):
-    """What was found under one set of inputs."""
+    """Steady states found for one set of inputs."""
 
     states: list[SteadyState]
-    """Stable ones first, those with most starts first."""
+    """Stable states first; then in descending order of ``n_starts``."""
     reached: np.ndarray
-    """Of every start (n_starts,), the number of its state; -1: did not come to rest."""
+    """Index of the state reached from every initial state (n_starts,); -1 if no steady state was reached."""
     n_conserved: int
-    """Quantities that the network conserves: each makes a continuum of steady states."""
+    """Number of conserved quantities; each makes a continuum of steady states."""
 
     @property
     def stable(self) -> list[SteadyState]:
-        """Those that the network can be found in."""
+        """Those of the steady states that are stable."""
         return [state for state in self.states if state.is_stable]
 
 
 def latin_hypercube(low: np.ndarray, high: np.ndarray, n: int, rng: np.random.Generator) -> np.ndarray:
-    """Starts (n, n_species) between low and high (n_species,): each species in each n-th of its range once."""
+    """Draw n initial states (n, n_species) between low and high (n_species,), one in every n-th of the range of each species."""
     strata = rng.permuted(np.tile(np.arange(n), (len(low), 1)), axis=1).T
     return low + (high - low) * (strata + rng.random(strata.shape)) / max(n, 1)
 
@@ -65,36 +65,36 @@ def latin_hypercube(low: np.ndarray, high: np.ndarray, n: int, rng: np.random.Ge
 def steady_states(
     law: RateLaw, inputs: np.ndarray, starts: np.ndarray, longest: float, scale: np.ndarray, accuracy: Accuracy
 ) -> SteadyStates:
-    """Follow the network from every start until it rests, and search further for states that nothing leads to.
+    """Integrate the network from every initial state until it is steady, and search for further steady states.
 
     Parameters
     ----------
     law : RateLaw
-        The network; its rate must not heed time.
+        Network, whose rate must not depend explicitly on time.
     inputs : (n_inputs,) array
-        Held.
+        Inputs, constant in time.
     starts : (n_starts, n_species) array
-        Where to start.
+        Initial states.
     longest : float [s]
-        How long to follow; a hundredth of it counts as the slowest time of the network.
+        Duration of the integration; a hundredth of it counts as the slowest time of the network.
     scale : (n_species,) array
-        Range of every species, by which "near" is judged.
+        Range of every species, to which tolerances are relative.
     accuracy : Accuracy
-        Of the courses; the states themselves are found by Newton's method to rounding.
+        Accuracy of the time integration; the states themselves are found by Newton's method to rounding.
 
     Notes
     -----
-    A start counts for the state at its course's end: basins are those of the network's own dynamics, tau included. Newton's
-    method alone, from all starts and from between stable states, adds states that no course reached: saddles between basins; not
-    where something is conserved, and states are a continuum anyway.
-    Stability is that of the Jacobian. What no start leads to, and Newton's method does not meet, is not found: the list is what
-    was found, not a proof that there is no more.
+    Each initial state is assigned to the steady state at the end of its course: basins of attraction are those of the
+    network's own dynamics, tau included. Newton's method from all initial states, and from points between the states found,
+    adds states that no course reached, such as saddles between basins. Newton's method is not used if quantities are
+    conserved, since steady states then form a continuum. Stability follows from the eigenvalues of the Jacobian. The list of
+    states is not guaranteed to be complete.
     """
     times = np.concatenate([[0.0], np.full(N_TIMES - 1, longest)])
     found: list[np.ndarray] = []
     reached = np.full(len(starts), -1)
     for number, start in enumerate(starts):
-        done = follow(law, jnp.asarray(inputs), jnp.asarray(start), jnp.asarray(times), accuracy)
+        done = integrate(law, jnp.asarray(inputs), jnp.asarray(start), jnp.asarray(times), accuracy)
         y = _settled(law, inputs, np.asarray(done.y[-1]), 0.01 * longest, scale) if done.is_done else None
         if y is not None:
             reached[number] = _number_of(y, found, scale)
@@ -108,13 +108,13 @@ def steady_states(
 
 @eqx.filter_jit
 def rate_and_jacobian(law: RateLaw, inputs: Array, y: Array) -> tuple[Array, Array]:
-    """dy/dt (n_species,) and its derivative by the state (n_species, n_species)."""
+    """Return dy/dt (n_species,) and its derivative with respect to the state (n_species, n_species)."""
     bound = law.under(inputs)
     return bound.rate(y), jax.jacfwd(bound.rate)(y)
 
 
 def _settled(law: RateLaw, inputs: np.ndarray, y: np.ndarray, slowest: float, scale: np.ndarray) -> np.ndarray | None:
-    """The steady state beside a course's end, if it rests there."""
+    """Return the steady state near the end of a course, or None if the course has not reached one."""
     rate, _ = rate_and_jacobian(law, jnp.asarray(inputs), jnp.asarray(y))
     if not np.all(np.abs(rate) * slowest < AT_REST * scale):
         return None
@@ -124,7 +124,10 @@ def _settled(law: RateLaw, inputs: np.ndarray, y: np.ndarray, slowest: float, sc
 
 
 def _newton(law: RateLaw, inputs: np.ndarray, y: np.ndarray, scale: np.ndarray) -> np.ndarray | None:
-    """Newton's method, halving steps that do not slow the network; least squares, so that what is conserved nearly stays."""
+    """Find a steady state from a guess y by Newton's method with step halving; None if it does not converge.
+
+    Each step is the least-squares solution, which almost preserves conserved quantities (the Jacobian is then singular).
+    """
     held = jnp.asarray(inputs)
     rate, J = (np.asarray(part) for part in rate_and_jacobian(law, held, jnp.asarray(y)))
     for _ in range(ITERATIONS):
@@ -148,7 +151,7 @@ def _guesses(starts: np.ndarray, found: Sequence[np.ndarray]) -> list[np.ndarray
 
 
 def _number_of(y: np.ndarray, found: list[np.ndarray], scale: np.ndarray) -> int:
-    """Which of the states it is; a new one is entered."""
+    """Return the index of a state in ``found``, after appending it if it is new."""
     for number, other in enumerate(found):
         if np.all(np.abs(other - y) < SAME * scale):
             return number
@@ -157,7 +160,7 @@ def _number_of(y: np.ndarray, found: list[np.ndarray], scale: np.ndarray) -> int
 
 
 def _eigenvalues(law: RateLaw, inputs: np.ndarray, y: np.ndarray) -> tuple[float, int]:
-    """Largest real part of an eigenvalue [1/s], and how many are 0: these count what is conserved, and are left out of it."""
+    """Return the largest real part of the non-zero eigenvalues [1/s], and how many are 0 (conserved quantities)."""
     values = np.linalg.eigvals(np.asarray(rate_and_jacobian(law, jnp.asarray(inputs), jnp.asarray(y))[1]))
     is_neutral = np.abs(values) < NEUTRAL * np.max(np.abs(values), initial=1e-300)
     return float(np.max(values.real[~is_neutral], initial=-np.inf)), int(is_neutral.sum())

@@ -1,4 +1,4 @@
-"""What a bond pulls at, a spring or a column of a material: how far it gives way, and the energy of that."""
+"""Substrate of a bond, a spring or a column of material: displacement and energy under the force of a cell."""
 
 from __future__ import annotations
 
@@ -13,36 +13,36 @@ from jax import Array
 from ..core.errors import InputError
 from ..core.law import Law, param
 from ..numerics.roots import rising_root
-from .contraction import Contraction
+from .contraction import CellContraction
 
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # of the stored energy along the pull
+NODES, WEIGHTS = np.polynomial.legendre.leggauss(8)  # Gauss points for the stored energy along the displacement
 
 
 class Pull(NamedTuple):
-    """A site under a cell's force, each (...)."""
+    """Response of the substrate to the force of a cell, each of shape (...)."""
 
     force: Array
-    """f [pN]."""
+    """Force f [pN]."""
     stiffness: Array
-    """k_eff [pN/um]."""
+    """Effective stiffness k_eff [pN/um]."""
     displacement: Array
-    """[um]."""
+    """Displacement of the substrate [um]."""
     work: Array
     """Force times displacement [pN um]."""
     stored: Array
-    """What the substrate has taken up beyond the work of its prestress [pN um]."""
+    """Energy stored in the substrate, without the work of its prestress [pN um]."""
 
 
 class Substrate(Protocol):
-    """What a bond pulls at."""
+    """Interface of the substrate that a bond pulls on."""
 
-    def pulled(self, contraction: Contraction, stretch: Array, time: Array) -> Pull:
-        """Pull at a substrate of stretch (...) [1], for a time (...) [s]."""
+    def pulled(self, contraction: CellContraction, stretch: Array, time: Array) -> Pull:
+        """Return the substrate's response to the cell's force at a stretch (...) [1], after pulling for a time (...) [s]."""
         ...
 
 
 class LinearSubstrate(Law):
-    r"""A spring: stored energy :math:`f^2 / 2k` as printed in Guo, Mofrad & Buganza Tepole, Eq. (23), work :math:`f^2 / k`.
+    r"""Linear spring: stored energy :math:`f^2 / 2k` as printed in Guo, Mofrad & Buganza Tepole, Eq. (23), work :math:`f^2 / k`.
 
     Parameters
     ----------
@@ -52,18 +52,18 @@ class LinearSubstrate(Law):
 
     k: float | Array = param("pN/um", "k", low=1e-12)
 
-    def pulled(self, contraction: Contraction, stretch: Array, time: Array) -> Pull:
-        """Pull at it: stretch and time (...), neither of which it heeds."""
+    def pulled(self, contraction: CellContraction, stretch: Array, time: Array) -> Pull:
+        """Return the spring's response to the cell's force, which does not depend on stretch and time (...)."""
         k = self.k + jnp.zeros_like(stretch)
         f = contraction.force(k)
         return Pull(f, k, f / k, f**2 / k, 0.5 * f**2 / k)
 
 
 class Curve(Protocol):
-    """Tension of a material along one axis."""
+    """Interface of the uniaxial stress-stretch curve of a material."""
 
     def stress(self, stretch: Array) -> Array:
-        """First Piola-Kirchhoff stress at a stretch (...) [1] -> (...) [pN/um^2], rising."""
+        """Return the first Piola-Kirchhoff stress at a stretch (...) [1] -> (...) [pN/um^2]; it must increase."""
         ...
 
 
@@ -72,7 +72,7 @@ class ExponentialFibre(Law):
 
     .. math:: P = k_1 \lambda \left( e^{k_2 (\lambda^2 - 1)} - 1 \right)
 
-    Collagen and fibrin in this group's tables: PHYSICS section 4 of this project has their numbers.
+    Buganza Tepole's group uses this law for collagen and fibrin; section 4 of PHYSICS (notes of this project) lists the values.
 
     Parameters
     ----------
@@ -86,31 +86,32 @@ class ExponentialFibre(Law):
     k2: float | Array = param("1", "k_2", low=1e-12)
 
     def stress(self, stretch: Array) -> Array:
-        """P (...) [pN/um^2] at a stretch (...) [1]."""
+        """Return P (...) [pN/um^2] at a stretch (...) [1]."""
         return self.k1 * stretch * jnp.expm1(self.k2 * (stretch**2 - 1.0))
 
     def energy(self, stretch: Array) -> Array:
-        """Psi (...) [pN/um^2], whose derivative P is, at a stretch (...) [1]."""
+        """Return the energy Psi (...) [pN/um^2], with derivative P, at a stretch (...) [1]."""
         strain = self.k2 * (stretch**2 - 1.0)
         return self.k1 / (2.0 * self.k2) * (jnp.expm1(strain) - strain)
 
 
 class TabulatedCurve(Law):
-    """Any material's tension along one axis: cubic pieces through values and slopes at equal steps, straight beyond them.
+    """Tabulated stress-stretch curve: cubic Hermite interpolation between equally spaced points, linear beyond them.
 
     Parameters
     ----------
     stresses : (n,) array [pN/um^2]
         First Piola-Kirchhoff stress at n equally spaced stretches.
     slopes : (n,) array [pN/um^2]
-        Its derivatives there.
+        Derivatives of the stress at these stretches.
     low, high : float [1]
         First and last stretch.
 
     Raises
     ------
     InputError
-        If there are less than two stretches, or slopes that are not of as many.
+        If there are fewer than two stretches, if the numbers of stresses and slopes differ, or if ``low`` is not below
+        ``high``.
     """
 
     stresses: Array = eqx.field(converter=jnp.asarray)
@@ -121,10 +122,10 @@ class TabulatedCurve(Law):
     def __check_init__(self):
         super().__check_init__()
         if len(self.stresses) < 2 or len(self.stresses) != len(self.slopes) or not self.low < self.high:
-            raise InputError("TabulatedCurve: must have two stretches or more, and as many stresses as slopes.")
+            raise InputError("TabulatedCurve: needs two stretches or more, as many slopes as stresses, and low < high.")
 
     def stress(self, stretch: Array) -> Array:
-        """P (...) [pN/um^2] at a stretch (...) [1]."""
+        """Return P (...) [pN/um^2] at a stretch (...) [1]."""
         last = len(self.stresses) - 1
         step = (self.high - self.low) / last
         inside = jnp.clip(stretch, self.low, self.high)
@@ -139,24 +140,24 @@ class TabulatedCurve(Law):
 
 
 class Column(Law):
-    r"""A column of a material under one bond, which pulls it further from where it is stretched to.
+    r"""Column of material under one bond; the force of the bond stretches the column beyond its current stretch.
 
     .. math:: A_0 \left[ P(\bar\lambda) - P(\lambda) \right] = f, \qquad
               W = f \, l_0 (\bar\lambda - \lambda), \qquad
               E = A_0 l_0 \left[ \Psi(\bar\lambda) - \Psi(\lambda) - P(\lambda) (\bar\lambda - \lambda) \right]
 
     with :math:`k_{eff} = A_0 P'(\lambda) / l_0`. Source: the nonlinear energy of Guo, Mofrad & Buganza Tepole, section IV C.
-    As printed, :math:`[\Psi(\bar\lambda) - \Psi(\lambda)] A_0 l_0`, it holds the work of the prestress, which the cell does not
-    do: the increment is taken instead (docs/decisions/0020). For a straight curve W and E are f^2/k and f^2/2k.
+    The printed form, :math:`[\Psi(\bar\lambda) - \Psi(\lambda)] A_0 l_0`, includes the work of the prestress, which the cell
+    does not do; that work is subtracted here (docs/decisions/0020). For a linear curve W and E are f^2/k and f^2/2k.
 
     Parameters
     ----------
     curve : Curve
-        Tension of the material along its axis.
+        Stress-stretch curve of the material along the axis of the column.
     area : float or (...) array [um^2]
         Cross-section A_0 of the column.
     length : float or (...) array [um]
-        Its length l_0.
+        Length l_0 of the column.
     """
 
     curve: Curve
@@ -164,12 +165,12 @@ class Column(Law):
     length: float | Array = param("um", "l_0", low=1e-12)
 
     def stiffness(self, stretch: Array) -> Array:
-        """Tangent stiffness k_eff at a stretch (...) [1] -> (...) [pN/um]."""
+        """Return the tangent stiffness k_eff at a stretch (...) [1] -> (...) [pN/um]."""
         _, slope = jax.jvp(self.curve.stress, (stretch,), (jnp.ones_like(stretch),))
         return self.area * slope / self.length
 
-    def pulled(self, contraction: Contraction, stretch: Array, time: Array) -> Pull:
-        """Pull at a column of stretch (...) [1]; NaN where its stress does not rise to what the force asks for."""
+    def pulled(self, contraction: CellContraction, stretch: Array, time: Array) -> Pull:
+        """Return the column's response to the cell's force at a stretch (...) [1]; NaN where stress cannot balance the force."""
         stretch = jnp.asarray(stretch, float)
         k = self.stiffness(stretch)
         f = contraction.force(k)

@@ -1,4 +1,4 @@
-"""Cells, cytokine and collagen at a point: how fast each of them changes."""
+"""Turnover of cells, cytokine and collagen at a point: their rates of change."""
 
 from __future__ import annotations
 
@@ -19,33 +19,56 @@ class Turnover(Law):
                     \left( 1 - \frac{\rho}{K_{\rho,\rho}} \right) \rho - d_\rho \, \rho + x_\rho \, (1 - \rho) \\
         \dot c &= (p_c \, c + p_{c,t} H) \frac{\rho}{K_{c,c} + c} - d_c \, c + x_c \, (c_{phys} - c)
 
-    Source: Guo, Mofrad & Buganza Tepole, Eqs (28)-(30). Read so: cells count in those of healthy tissue, cytokine in a largest
-    amount, collagen in that of healthy tissue, so every rate is one per time; what the print multiplies by nothing,
-    :math:`p_{\cdot,t^a}`, multiplies the signal; its :math:`D_{\rho,\rho}` and :math:`D_{c,c}` are the rates of exchange
-    :math:`x_\rho, x_c` with the surroundings. Defaults are those in use by this group's wound models but for three: the rates of
-    exchange, which they have no use for, are chosen, and :math:`K_{\rho,\rho}` is 1.25 instead of 1, so that healthy tissue keeps
-    its cells, :math:`K_{\rho,\rho} (1 - d_\rho / p_\rho) = 1`, as it keeps its collagen by the :math:`K_{f,\rho}` in use.
+    Source: Guo, Mofrad & Buganza Tepole, Eqs (28)-(30). Interpretation: cells and collagen are relative to healthy tissue,
+    cytokine to a maximum amount, so every rate is per time; the constants :math:`p_{\cdot,t^a}`, which stand alone in print,
+    multiply the signal; the printed :math:`D_{\rho,\rho}` and :math:`D_{c,c}` are the rates of exchange :math:`x_\rho, x_c` with
+    the surroundings. Defaults are those of the wound models of Buganza Tepole's group, with three exceptions: those models have
+    no exchange, so its two rates are chosen here; and :math:`K_{\rho,\rho}` is 1.25 instead of 1, so that the cells of healthy
+    tissue are in equilibrium, :math:`K_{\rho,\rho} (1 - d_\rho / p_\rho) = 1`. With their :math:`K_{f,\rho}`
+    healthy collagen is in equilibrium too.
 
     Parameters
     ----------
-    p_f, p_f_c, p_f_t : float or (...) array [1/s]
-        Production of collagen: basal, most by cytokine, most by the signal.
-    d_f, d_f_rho_c : float or (...) array [1/s]
-        Decay of collagen: basal, and by cells under cytokine.
-    K_f_c, K_f_rho : float or (...) array [1]
-        Cytokine of half its effect on collagen; crowding of collagen.
-    p_rho, p_rho_c, p_rho_t : float or (...) array [1/s]
-        Proliferation: basal, most by cytokine, most by the signal.
-    d_rho, x_rho : float or (...) array [1/s]
-        Death, and exchange with healthy tissue.
-    K_rho_c, K_rho_rho : float or (...) array [1]
-        Cytokine of half its effect on cells; cells at which proliferation stops.
-    p_c, p_c_t : float or (...) array [1/s]
-        Production of cytokine by itself and by the signal.
-    d_c, x_c : float or (...) array [1/s]
-        Decay of cytokine, and exchange with the surroundings.
-    K_c_c, c_phys : float or (...) array [1]
-        Saturation of cytokine's production; cytokine of the surroundings.
+    p_f : float or (...) array [1/s]
+        Production of collagen without cytokine and signal.
+    p_f_c : float or (...) array [1/s]
+        Largest additional production of collagen by cytokine.
+    p_f_t : float or (...) array [1/s]
+        Additional production of collagen at a signal of 1.
+    d_f : float or (...) array [1/s]
+        Decay of collagen.
+    d_f_rho_c : float or (...) array [1/s]
+        Decay of collagen by cells under cytokine.
+    K_f_c : float or (...) array [1]
+        Cytokine at which its effect on collagen is one half.
+    K_f_rho : float or (...) array [1]
+        Collagen at which its production saturates.
+    p_rho : float or (...) array [1/s]
+        Proliferation of cells without cytokine and signal.
+    p_rho_c : float or (...) array [1/s]
+        Largest additional proliferation by cytokine.
+    p_rho_t : float or (...) array [1/s]
+        Additional proliferation at a signal of 1.
+    d_rho : float or (...) array [1/s]
+        Death of cells.
+    x_rho : float or (...) array [1/s]
+        Exchange of cells with healthy tissue.
+    K_rho_c : float or (...) array [1]
+        Cytokine at which its effect on proliferation is one half.
+    K_rho_rho : float or (...) array [1]
+        Cell density at which proliferation stops.
+    p_c : float or (...) array [1/s]
+        Production of cytokine by cells under cytokine.
+    p_c_t : float or (...) array [1/s]
+        Production of cytokine by cells at a signal of 1.
+    d_c : float or (...) array [1/s]
+        Decay of cytokine.
+    x_c : float or (...) array [1/s]
+        Exchange of cytokine with the surroundings.
+    K_c_c : float or (...) array [1]
+        Cytokine at which its production saturates.
+    c_phys : float or (...) array [1]
+        Cytokine of the surroundings.
     """
 
     p_f: float | Array = param("1/s", "p_f", low=0.0, default=0.002 / 3600, typed="1/h")
@@ -69,11 +92,11 @@ class Turnover(Law):
     K_c_c: float | Array = param("1", "K_c,c", above=0.0, default=1.0)
     c_phys: float | Array = param("1", "c_phys", low=0.0, default=0.0)
 
-    def rates(self, has: Contents, signal: Array) -> Contents:
-        """Rates [1/s] of what there is (...) [1] under a signal H (...) [1]; compiled for any shape, differentiable."""
+    def rates(self, has: Densities, signal: Array) -> Densities:
+        """Return the rates [1/s] of cells, cytokine and collagen (...) [1] under a signal H (...) [1]; differentiable."""
         rho, c, m_f = has
         dividing = self.p_rho + self.p_rho_c * c / (self.K_rho_c + c) + self.p_rho_t * signal
-        return Contents(
+        return Densities(
             rho=dividing * (1.0 - rho / self.K_rho_rho) * rho - self.d_rho * rho + self.x_rho * (1.0 - rho),
             c=(self.p_c * c + self.p_c_t * signal) * rho / (self.K_c_c + c)
             - self.d_c * c
@@ -81,18 +104,18 @@ class Turnover(Law):
             m_f=self.deposition(has, signal) - (self.d_f + self.d_f_rho_c * rho * c) * m_f,
         )
 
-    def deposition(self, has: Contents, signal: Array) -> Array:
-        """Production of collagen alone (...) [1/s]."""
+    def deposition(self, has: Densities, signal: Array) -> Array:
+        """Return the production rate of collagen, without decay (...) [1/s]."""
         making = self.p_f + self.p_f_c * has.c / (self.K_f_c + has.c) + self.p_f_t * signal
         return making * has.rho / (self.K_f_rho + has.m_f)
 
 
-class Contents(NamedTuple):
-    """Of a piece of tissue, or their rates; each (...)."""
+class Densities(NamedTuple):
+    """Cells, cytokine and collagen of tissue, or their rates, each of shape (...)."""
 
     rho: Array
-    """Cells over those of healthy tissue [1]."""
+    """Cell density relative to healthy tissue [1]."""
     c: Array
-    """Cytokine over a largest amount [1]."""
+    """Cytokine concentration relative to a maximum amount [1]."""
     m_f: Array
-    """Collagen over that of healthy tissue [1]."""
+    """Collagen density relative to healthy tissue [1]."""

@@ -1,4 +1,4 @@
-"""Who acts on whom in a signalling network, as arrays."""
+"""Connections of a signalling network as index arrays."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from .rules import Rule, unknown_species
 
 @dataclass(frozen=True)
 class Wiring:
-    """Who acts on whom.
+    """Species and reactions of a signalling network, and their connections.
 
     Parameters
     ----------
     species : tuple of str
-        Names (n_species,).
+        Names of the species (n_species,).
     reactions : tuple of str
-        Names (n_reactions,).
+        Names of the reactions (n_reactions,).
     rules : tuple of Rule
-        One per reaction; reactions with the same target are joined by OR.
+        Rule of each reaction; reactions with the same target are joined by OR.
 
     Raises
     ------
     InputError
-        If a rule names a species that is not there, a name stands twice, or a species has two inputs.
+        If a rule names an unknown species, a name is listed twice, or a species has two inputs.
     """
 
     species: tuple[str, ...]
@@ -39,7 +39,7 @@ class Wiring:
         for what, names in (("species", self.species), ("reaction", self.reactions), ("input", self.input_names)):
             twice = [name for name, count in Counter(names).items() if count > 1]
             if twice:
-                raise InputError(f'{what} "{twice[0]}" stands twice')
+                raise InputError(f'{what} "{twice[0]}" is listed twice')
         for name, rule in zip(self.reactions, self.rules, strict=True):
             for one in (*(factor.species for factor in rule.factors), rule.target):
                 if one not in self._row:
@@ -51,17 +51,17 @@ class Wiring:
 
     @cached_property
     def input_reactions(self) -> np.ndarray:
-        """Reactions ``=> X`` (n_inputs,)."""
+        """Indices of the reactions ``=> X`` (n_inputs,)."""
         return np.array([r for r, rule in enumerate(self.rules) if rule.is_input], int)
 
     @property
     def input_names(self) -> tuple[str, ...]:
-        """Their targets (n_inputs,)."""
+        """Names of the species X with a reaction ``=> X`` (n_inputs,)."""
         return tuple(rule.target for rule in self.rules if rule.is_input)
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Species, reaction and negation of every factor of every rule, negated ones last: (n_edges,) each."""
+        """Species, reaction and negation of every edge (a factor in a rule), negated edges last: three arrays (n_edges,)."""
         rows = [
             (self._row[factor.species], r, factor.is_negated)
             for r, rule in enumerate(self.rules)
@@ -73,17 +73,17 @@ class Wiring:
 
     @cached_property
     def factors_of(self) -> np.ndarray:
-        """Edges of every reaction (n_reactions, most), filled up with ``n_edges``."""
+        """Indices of the edges of each reaction (n_reactions, most), padded with ``n_edges``."""
         return _padded(self.edges[1], len(self.rules))
 
     @cached_property
     def reactions_into(self) -> np.ndarray:
-        """Reactions of every target (n_species, most), filled up with ``n_reactions``."""
+        """Indices of the reactions that act on each species (n_species, most), padded with ``n_reactions``."""
         return _padded(np.array([self._row[rule.target] for rule in self.rules], int), len(self.species))
 
     @cached_property
     def n_negated(self) -> np.ndarray:
-        """Factors with ``!`` of every reaction (n_reactions,)."""
+        """Number of negated factors (``!``) of each reaction (n_reactions,)."""
         return np.array([sum(factor.is_negated for factor in rule.factors) for rule in self.rules], int)
 
     @cached_property
@@ -94,7 +94,7 @@ class Wiring:
 
 
 def _padded(group: np.ndarray, n_groups: int) -> np.ndarray:
-    """Members of every group (n_groups, most at least 1), filled up with the number of members."""
+    """Return the indices of every group's members, from the group number of each member (n,): (n_groups, most), padded with n."""
     members = [np.flatnonzero(group == number) for number in range(n_groups)]
     table = np.full((n_groups, max([1, *map(len, members)])), len(group))
     for row, found in zip(table, members):

@@ -1,1 +1,1 @@
-"""The language of case files: tables with checked bounds, reading, paths, and the laws that tables name."""
+"""Case files: their tables with checked bounds, how they are read, paths of inputs, and the laws that they name."""

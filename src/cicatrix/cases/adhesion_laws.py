@@ -1,4 +1,4 @@
-"""The adhesion law that the tables of a case name, checked at the stretches asked for."""
+"""Build the adhesion law from the tables of a case, and check it at the stretches of the case."""
 
 from __future__ import annotations
 
@@ -9,25 +9,25 @@ import jax
 import numpy as np
 from jax import Array
 
-from ..biology.adhesion import Adhesion, anchored
+from ..biology.adhesion import Adhesion, steady_state
 from ..biology.bond import Bell, Bond, CatchBond
-from ..biology.contraction import ConstantForce, Contraction, Feedback
+from ..biology.contraction import CellContraction, ConstantForce, Feedback
 from ..biology.substrate import Column, ExponentialFibre, LinearSubstrate, Pull, Substrate
 from ..biology.viscoelastic_substrate import StandardLinearSolid
 from ..core.errors import ConvergenceError, InputError
-from ..core.units import inner_per_typed
+from ..core.units import unit_factor
 from ..materials.material import EnergyMaterial
 from ..mechanics.uniaxial import Tension
 from .adhesion import LAW_SUBSTRATES, BondTable, CellTable
 from .laws import law_of
 
-ROOM = 1.5  # of a table of stresses beyond what a straight curve would ask for
+ROOM = 1.5  # factor on the extension of a stress table predicted by linear extrapolation
 
 
-MOST_TABLES = 12
+MAX_TABLES = 12  # largest number of stress tables that are tried
 
 
-TABLE_ERROR = 1e-3  # above it the curve has corners that no table follows
+TABLE_ERROR = 1e-3  # largest relative error of a table; a larger one means that the curve has corners
 
 
 def adhesion_of(
@@ -46,7 +46,7 @@ def adhesion_of(
     bond, cell : BondTable, CellTable
         Rates of the bond; force and number of the cell's bonds.
     substrate : one of the tables of ``AnySubstrate``
-        What a bond pulls at; the law is checked at its stretches.
+        Substrate that a bond pulls at, with the stretches at which the law is checked.
     law : EnergyMaterial, optional
         Material of the substrate where its type is "law".
     until_s : float [s]
@@ -57,15 +57,15 @@ def adhesion_of(
     Raises
     ------
     InputError
-        If feedback or substrate do not hold at a stretch asked for.
+        If the feedback or the substrate is not defined at one of the stretches.
     ConvergenceError
-        If a law of a material point has no state where the cell pulls it to.
+        If the substrate's law has no equilibrium at a stretch that the cell's force produces.
     """
     contraction, notes = contraction_of(cell), list[str]()
     if substrate.type in LAW_SUBSTRATES:
         pulled, error = _tissue(substrate, law or _material(substrate), contraction, stretches)
         notes = [
-            f"The substrate's law was tabulated in uniaxial tension; error of the table {error:.1g} of its largest stress."
+            f"The substrate's law was tabulated in uniaxial tension; the table's error is {error:.1g} of the largest stress."
         ]
     else:
         pulled = _simple(substrate)
@@ -78,23 +78,23 @@ def adhesion_of(
 
 
 def bond_of(table: BondTable) -> Bond:
-    """Make the bond that a table names."""
+    """Build a bond (slip or catch) from its table of rates."""
     catch = table.catch
     if catch is not None:
         return CatchBond(table.k_on_per_s, catch.k_catch_per_s, catch.k_slip_per_s, catch.f_catch_pN, catch.f_slip_pN)
     return Bell(table.k_on_per_s, table.k_off_per_s, table.kT_pN_um)
 
 
-def contraction_of(table: CellTable) -> Contraction:
-    """Make the contraction that a table names."""
+def contraction_of(table: CellTable) -> CellContraction:
+    """Build the law of the cell's force: constant, or dependent on the stiffness of the substrate."""
     if table.feedback is None:
-        return ConstantForce(table.force_pN or 0.0)  # clutches bring their own
+        return ConstantForce(table.force_pN or 0.0)  # 0 for clutches, which have a force of their own
     given = table.feedback
     return Feedback(given.f0_pN, given.beta, given.k_a_pN_um, given.k_N_pN_um)
 
 
 def is_viscoelastic(substrate: Any) -> bool:
-    """Return whether the force at a substrate that is held relaxes in time."""
+    """Return whether the substrate is viscoelastic: its force relaxes at constant displacement."""
     return substrate.type in ("maxwell", "standard-linear-solid")
 
 
@@ -105,21 +105,21 @@ def _simple(table: Any) -> Substrate:
         return StandardLinearSolid(0.0, table.stiffness_pN_um, table.viscosity_pN_s_um)
     if table.type == "standard-linear-solid":
         return StandardLinearSolid(table.long_pN_um, table.added_pN_um, table.viscosity_pN_s_um)
-    k1 = table.k1_MPa * inner_per_typed("MPa", "pN/um^2")
+    k1 = table.k1_MPa * unit_factor("MPa", "pN/um^2")
     return Column(ExponentialFibre(k1, table.k2), table.area_um2, table.length_um)
 
 
 def _material(table: Any) -> EnergyMaterial:
-    """Build the material that a substrate's own table names."""
+    """Build the material of a substrate from the parameters in the table [substrate]."""
     return law_of(SimpleNamespace(law=(table,), growth=None))
 
 
-def _tissue(table: Any, law: EnergyMaterial, contraction: Contraction, stretches: str) -> tuple[Column, float]:
-    """Tabulate a column of a material in uniaxial tension, as far as the cell pulls it."""
+def _tissue(table: Any, law: EnergyMaterial, contraction: CellContraction, stretches: str) -> tuple[Column, float]:
+    """Tabulate the uniaxial tension of a column of material, up to the stretch that the cell's force produces."""
     tension = Tension(law)
     stretch = np.array(table.stretch)
     low, high = min(1.0, stretch.min()), max(1.0 + 1e-3, stretch.max())
-    for _ in range(MOST_TABLES):
+    for _ in range(MAX_TABLES):
         curve, error = tension.table(low, high)
         column = Column(curve, table.area_um2, table.length_um)
         pull = _pulled(column, contraction, stretch)
@@ -131,22 +131,22 @@ def _tissue(table: Any, law: EnergyMaterial, contraction: Contraction, stretches
         if np.all(pulled <= high):
             if error > TABLE_ERROR:
                 raise ConvergenceError(
-                    f"The substrate's law cannot be tabulated: cubic pieces miss its stress by {error:.1g} of the largest one."
+                    f"The substrate's law cannot be tabulated: cubic interpolation errs by {error:.1g} of the largest stress."
                 )
             return column, error
         high += ROOM * (needed - high) if needed > high else high - low
     raise InputError(
-        f"substrate: its stress does not rise by what the cell pulls with, up to a stretch of {high:.4g}; give less force"
+        f"substrate: its stress does not balance the pull of the cell up to a stretch of {high:.4g}; give less force"
     )
 
 
 @jax.jit
-def _pulled(column: Column, contraction: Contraction, stretch: Array) -> Pull:
+def _pulled(column: Column, contraction: CellContraction, stretch: Array) -> Pull:
     return column.pulled(contraction, stretch, 0.0)
 
 
 def _check_stiffnesses(law: Adhesion, stretch: tuple[float, ...], stretches: str) -> None:
-    """Refuse a substrate without positive stiffness, and a feedback that does not hold there."""
+    """Raise an error for a substrate without positive stiffness, or a feedback that is not valid at its stiffness."""
     substrate = law.substrate
     if isinstance(substrate, Column):
         k = np.asarray(_pulled(substrate, law.contraction, np.array(stretch)).stiffness)
@@ -159,7 +159,7 @@ def _check_stiffnesses(law: Adhesion, stretch: tuple[float, ...], stretches: str
 
 
 def _check_finite(law: Adhesion, stretch: tuple[float, ...], time: float) -> None:
-    at, when = anchored(law, np.array(stretch), time), f" after {time:g} s" if time else ""
+    at, when = steady_state(law, np.array(stretch), time), f" after {time:g} s" if time else ""
     for name, values in at._asdict().items():
         if not np.all(np.isfinite(values)):
             worst = stretch[int(np.argmin(np.isfinite(values)))]

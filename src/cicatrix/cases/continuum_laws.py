@@ -1,4 +1,4 @@
-"""What heals by fields: laws, mobility and what cells feel, from the tables of a case."""
+"""Build the continuum healing model from the tables of a case: local laws, mobility and mechanosensing."""
 
 from __future__ import annotations
 
@@ -10,50 +10,50 @@ import numpy as np
 from ..biology.moreo import Moreo
 from ..biology.network import RateLaw
 from ..biology.sensing import Sensing
-from ..biology.signals import LogisticSignal, NetworkSignal, StrainSignal, TractionSignal, Unfelt
+from ..biology.signals import LogisticSignal, NetworkSignal, NoMechanosensing, StrainSignal, TractionSignal
 from ..biology.turnover import Turnover
 from ..core.errors import InputError
-from ..core.units import inner_per_typed, seconds_from_hours
+from ..core.units import seconds_from_hours, unit_factor
 from ..files.networks import read_network
 from ..healing.scarring import CollagenGrowth, Contracture, Local, Reorientation, Scarring
 from ..healing.transport import Mobility, Transport
 from .adhesion_laws import adhesion_of
-from .continuum import AdhesionTable, LogisticTable, NetworkTable, NoneTable
+from .continuum import AdhesionTable, LogisticTable, NetworkSensingTable, NoneTable
 from .signals import MoreoTable
 
-RESOLVED = 2.0  # elements along sqrt(D/r), below which a front is not resolved
-Network = tuple[RateLaw, np.ndarray]  # with its start (n_species,)
+RESOLVED = 2.0  # smallest number of elements along sqrt(D/r) with which a front is resolved
+Network = tuple[RateLaw, np.ndarray]  # rate law, and initial activities (n_species,)
 
 
-class Healed(Protocol):
-    """What a case says of healing by fields."""
+class ContinuumSettings(Protocol):
+    """Interface of a case whose tissue heals by the continuum model."""
 
     @property
     def values(self) -> Mapping[str, float]:
-        """Parameters, by the names of case files."""
+        """Parameters, by their keys in case files."""
         ...
 
     @property
     def mechanosensing(self) -> object:
-        """Table of what cells feel."""
+        """Table of the mechanical signal that cells sense."""
         ...
 
     @property
     def is_sheet(self) -> bool:
-        """Whether the third axis is a sheet's normal."""
+        """Whether the body is a sheet (normal to the third axis), not a solid."""
         ...
 
 
-def scarring_of(case: Healed, network: Network | None = None) -> tuple[Scarring, np.ndarray]:
-    """What happens at a point, and the states (n_states,) of what cells feel at first.
+def scarring_of(case: ContinuumSettings, network: Network | None = None) -> tuple[Scarring, np.ndarray]:
+    """Build the law of healing at a material point, and the initial mechanosensing states (n_states,).
 
     Raises
     ------
     InputError
-        If the adhesion does not hold at rest, or the network has no such input or output.
+        If the adhesion is not defined on an unstretched substrate, or the network lacks the input or output that is named.
     """
     v = case.values
-    sensing, sensed = sensing_of(case, network)
+    sensing, signal_state = sensing_of(case, network)
     turns = "tau_omega" in v
     law = Scarring(
         turnover_of(case),
@@ -69,17 +69,17 @@ def scarring_of(case: Healed, network: Network | None = None) -> tuple[Scarring,
         T_0=v.get("T_0_MPa", 0.0) * KPA_PER_MPA,
         is_sheet=case.is_sheet,
     )
-    return law, sensed
+    return law, signal_state
 
 
-def turnover_of(case: Healed) -> Turnover:
-    """Cells, cytokine and collagen."""
+def turnover_of(case: ContinuumSettings) -> Turnover:
+    """Build the turnover law of cells, cytokine and collagen."""
     v = case.values
     per_s = {name: v[key] / seconds_from_hours(1.0) for name, key in RATES.items()}
     return Turnover(**per_s, **{name: v[key] for name, key in RATIOS.items()})
 
 
-KPA_PER_MPA = inner_per_typed("MPa", "kPa")
+KPA_PER_MPA = unit_factor("MPa", "kPa")
 STIFFNESSES = {"k_0": "k0_MPa", "k_f": "kf_MPa", "k_v": "kv_MPa", "t_rho": "t_rho_MPa", "t_rho_c": "t_rho_c_MPa"}
 RATES = {
     "p_f": "p_phi_per_h",
@@ -100,17 +100,17 @@ RATES = {
 RATIOS = {"K_f_c": "K_phi_c", "K_f_rho": "K_phi_rho", "K_rho_c": "K_rho_c", "K_rho_rho": "K_rho_rho", "K_c_c": "K_c_c"}
 
 
-def mobility_of(case: Healed) -> Mobility:
-    """How cells and cytokine move."""
+def mobility_of(case: ContinuumSettings) -> Mobility:
+    """Build the law of diffusion, chemotaxis and haptotaxis."""
     keys = {"D_rho": "D_rho", "D_c": "D_c", "D_rho_c": "D_rho_c", "D_rho_phi": "D_rho_phi"}
     return Mobility(**{name: case.values[f"{key}_mm2_per_h"] / seconds_from_hours(1.0) for name, key in keys.items()})
 
 
-def sensing_of(case: Healed, network: Network | None) -> tuple[Sensing, np.ndarray]:
-    """What cells feel, and its states (n_states,) at first."""
+def sensing_of(case: ContinuumSettings, network: Network | None) -> tuple[Sensing, np.ndarray]:
+    """Build the mechanosensing law, and its initial states (n_states,)."""
     table, v = case.mechanosensing, case.values
     if isinstance(table, NoneTable):
-        return Sensing(Unfelt()), np.zeros(0)
+        return Sensing(NoMechanosensing()), np.zeros(0)
     if isinstance(table, LogisticTable):
         return Sensing(LogisticSignal(v["theta_ref"], v["gamma"], v["H_least"])), np.zeros(0)
     if isinstance(table, MoreoTable):
@@ -119,9 +119,9 @@ def sensing_of(case: Healed, network: Network | None) -> tuple[Sensing, np.ndarr
     assert isinstance(table, AdhesionTable)
     substrate = table.substrate.model_copy(update={"stretch": (1.0,)})
     adhesion, _ = adhesion_of(table.bond, substrate, table.cell)
-    bound = np.asarray(adhesion.anchored(np.ones(1)).steady)
+    bound = np.asarray(adhesion.steady_state(np.ones(1)).steady)
     traction = TractionSignal(table.K_kPa, table.threshold_kPa)
-    if not isinstance(table, NetworkTable):
+    if not isinstance(table, NetworkSensingTable):
         return Sensing(traction, adhesion), bound
     if network is None:
         raise InputError("mechanosensing.species and mechanosensing.reactions must be read first")
@@ -129,19 +129,24 @@ def sensing_of(case: Healed, network: Network | None) -> tuple[Sensing, np.ndarr
     return Sensing(signal, adhesion), np.concatenate([bound, network[1]])
 
 
-def local_of(phi: np.ndarray, kappa: float, sensed: np.ndarray, d: int) -> Local:
-    """Local states of tissue that has not yielded: collagen (n_elements, n_qp), dispersion, what cells feel, axes that yield."""
+def local_of(phi: np.ndarray, kappa: float, signal_state: np.ndarray, d: int) -> Local:
+    """Build the local states of tissue without permanent stretch.
+
+    The states follow from collagen (n_elements, n_qp), fibre dispersion, mechanosensing states and the number of axes ``d``.
+    """
     return Local(
         phi,
         np.ones((*phi.shape, d)),
         np.full(phi.shape, kappa),
         np.broadcast_to(np.eye(3), (*phi.shape, 3, 3)).copy(),
-        np.broadcast_to(sensed, (*phi.shape, len(sensed))).copy(),
+        np.broadcast_to(signal_state, (*phi.shape, len(signal_state))).copy(),
     )
 
 
-def thin_fronts(case: Healed, transport: Transport, near: np.ndarray | None = None) -> tuple[str, ...]:
-    """Warn where a front of cells would be thinner than elements can show, near some carriers (bool) or anywhere."""
+def front_resolution_warning(
+    case: ContinuumSettings, transport: Transport, near: np.ndarray | None = None
+) -> tuple[str, ...]:
+    """Return a warning if elements are too coarse for a front of cells, in the body or at the vertex nodes ``near`` (bool)."""
     v = case.values
     rate = v["p_rho_per_h"] + v["p_rho_c_per_h"]
     if not v["D_rho_mm2_per_h"] or not rate:
@@ -153,13 +158,13 @@ def thin_fronts(case: Healed, transport: Transport, near: np.ndarray | None = No
         return ()
     return (
         f"warning: a front of cells is about sqrt(D_rho/r) = {width:.2g} mm wide, elements have {edge:.2g} mm; "
-        f"{RESOLVED:g} elements or more in a front follow its speed well, so take more elements",
+        f"its speed is accurate with {RESOLVED:g} or more elements across its width, so take more elements",
     )
 
 
 def network_of(table: object) -> Network | None:
-    """Read the network that cells sense by and its start, if the table of mechanosensing names one."""
-    if not isinstance(table, NetworkTable):
+    """Read the signalling network of mechanosensing, and its initial activities; None if the signal uses no network."""
+    if not isinstance(table, NetworkSensingTable):
         return None
     model = read_network(table.species, table.reactions, table.inhibition)
     return model.law, model.start

@@ -1,4 +1,4 @@
-"""Values of the two reference wounds, by the names of case files; docs/theory/wound.md says where they are from."""
+"""Parameter values of the two reference wounds, by the keys of case files; docs/theory/wound.md gives their sources."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ CIRCULAR_WOUND: dict[str, float] = {
     "c_wound": 1.0,
     "phi_wound": 0.01,
 }
-"""The round wound of a sheet; what it does not use is 0, or that of the other set."""
+"""Values of the round wound in a sheet; a value that this wound does not use is 0, or the same as in :data:`BREAST_CAVITY`."""
 
-CELL_TRACTION_MPA = 1.28571e-5 / 55.05  # of a cell per mm^3
-CELLS = 55051.0  # per mm^3
+CELL_TRACTION_MPA = 1.28571e-5 / 55.05  # traction per cell density [MPa mm^3]
+CELLS = 55051.0  # cells of healthy tissue per mm^3
 BREAST_CAVITY: dict[str, float] = CIRCULAR_WOUND | {
     RHO_PHYS: CELLS,
     "p_rho_per_h": 0.0496 / 55.05,
@@ -82,5 +82,8 @@ BREAST_CAVITY: dict[str, float] = CIRCULAR_WOUND | {
     "c_wound": 1.0,
     "phi_wound": 0.01,
 }
-"""The cavity of a breast in three dimensions. Production of collagen, which its sources leave out, follows from decay, so that
-healthy tissue keeps its collagen; what they do not name is that of the round wound."""
+"""Values of the cavity in a breast, in three dimensions.
+
+The sources do not give the production of collagen; it follows from decay, so that healthy tissue keeps its collagen. Other
+values that the sources do not give are those of the round wound.
+"""

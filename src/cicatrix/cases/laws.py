@@ -1,7 +1,8 @@
-"""Which laws a case file may name, and the keys of each: derived from the parameters that the law declares.
+"""Laws that a case file can name, and their keys, which are derived from the parameters that each law declares.
 
-A parameter gives the key ``name_unit`` with the law's own range; a part that is a law gives a table, a part of several types
-one with ``type``, a tuple of laws a list of tables. A law's file says all that, and nothing of it is said here again.
+A parameter becomes the key ``name_unit`` with the range that the law declares. A part that is itself a law becomes a table, a
+part that is one of several laws becomes a table with ``type``, and a tuple of laws becomes a list of tables. Nothing that the
+file of a law declares is repeated here.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from pydantic import BeforeValidator, StrictBool, create_model, model_validator
 
 from ..core.errors import InputError
 from ..core.law import Law
-from ..core.units import inner_per_typed, seconds_from_hours
+from ..core.units import seconds_from_hours, unit_factor
 from ..materials.active import ActiveFibres, Contraction
 from ..materials.compose import Sum
 from ..materials.fibres import FibreDistribution
@@ -31,10 +32,10 @@ from ..materials.mooney_rivlin import MooneyRivlin
 from ..materials.neo_hookean import NeoHookean
 from ..materials.ogden import Ogden
 from ..materials.viscoelastic import Viscoelastic
-from .bounds import Integer, Number, fault, limits
+from .bounds import Integer, Number, bounds, fault
 from .table import Table, one_of
 
-ANY = "_any_law"  # what stands for any law of a union inside one of its tables; no name of this module
+ANY = "_any_law"  # forward reference to a whole union of laws inside one of its tables; not a name of this module
 LAWS: dict[str, type[EnergyMaterial]] = {
     "neo-hookean": NeoHookean,
     "mooney-rivlin": MooneyRivlin,
@@ -47,46 +48,49 @@ LAWS: dict[str, type[EnergyMaterial]] = {
     "constrained-mixture": ConstrainedMixture,
 }
 GROWTHS: dict[str, type[Growth]] = {"fibre": FibreGrowth, "area": AreaGrowth, "volume": VolumeGrowth}
-ISOTROPIC = (NeoHookean, MooneyRivlin, Ogden)  # laws that may have viscous branches, each a share of them
+ISOTROPIC = (NeoHookean, MooneyRivlin, Ogden)  # laws that can have Maxwell branches in parallel
 
 
 _LISTED = BeforeValidator(lambda value: value if isinstance(value, list | tuple) else [value])
 
 
 class SeriesTable(Table):
-    """Maxwell branches beside an isotropic law, one number for each or a list: :class:`..materials.viscoelastic.Viscoelastic`."""
+    """Maxwell branches in parallel with an isotropic law, :class:`..materials.viscoelastic.Viscoelastic`; numbers or lists."""
 
-    beta: Annotated[tuple[Annotated[Number, limits(least=0.0)], ...], _LISTED]
-    relaxation_s: Annotated[tuple[Annotated[Number, limits(above=0.0)], ...], _LISTED]
+    beta: Annotated[tuple[Annotated[Number, bounds(least=0.0)], ...], _LISTED]  # stiffness of each over the law's
+    relaxation_s: Annotated[tuple[Annotated[Number, bounds(above=0.0)], ...], _LISTED]  # relaxation time of each
 
     @model_validator(mode="after")
     def _is_one_of_each(self) -> SeriesTable:
         if not self.beta:
-            raise fault("beta", "must be a number or a list of one at least")
+            raise fault("beta", "must be a number or a list of at least one number")
         if len(self.beta) != len(self.relaxation_s):
             raise fault("relaxation_s", f"must be as many as beta ({len(self.beta)}); got {len(self.relaxation_s)}")
         return self
 
 
 class FibresGrowTable(Table):
-    """Growth into the directions of a law's own fibres: :class:`..materials.growing.FibreGrowth`."""
+    """Growth along the directions of a law's own fibres: :class:`..materials.growing.FibreGrowth`.
 
-    tau_h: Annotated[Number, limits(above=0.0)]
-    homeostatic_kPa: Annotated[Number, limits(above=0.0)] | None = None
+    With ``homeostatic_kPa``, the stress at which nothing grows, the stress drives growth; without it the elastic stretch does.
+    """
+
+    tau_h: Annotated[Number, bounds(above=0.0)]  # time constant of growth
+    homeostatic_kPa: Annotated[Number, bounds(above=0.0)] | None = None  # homeostatic stress; default: stretch-driven
 
 
 class LawTable(Table):
-    """A table of a case file that becomes a law, or a part of one."""
+    """Table of a case file from which a constitutive law, or a part of one, is built."""
 
     made: ClassVar[type[Law]]
 
     def build(self) -> Law:
-        """Make the law.
+        """Build the law.
 
         Raises
         ------
         InputError
-            If values that are each in range do not go together.
+            If values that are each in range contradict each other.
         """
         values = {}
         for field in dataclasses.fields(self.made):
@@ -97,7 +101,7 @@ class LawTable(Table):
         return Viscoelastic(law, series.beta, series.relaxation_s) if isinstance(series, SeriesTable) else law
 
     def growth_of_fibres(self) -> FibreGrowth | None:
-        """How the law's own fibres grow, if they do."""
+        """Build the growth law of the law's own fibres; None if they do not grow."""
         asked = getattr(self, "growth", None)
         if not isinstance(asked, FibresGrowTable):
             return None
@@ -106,13 +110,13 @@ class LawTable(Table):
 
 
 def key_of(field: dataclasses.Field) -> str:
-    """Name a field in a case file: its own name and the unit that is typed, such as ``mu_kPa`` or ``rate_per_h``."""
+    """Return the key of a field in a case file: its name and the unit of the case file, such as ``mu_kPa`` or ``rate_per_h``."""
     unit, name = field.metadata.get("typed", "1"), field.metadata.get("key", field.name)
     return name if unit == "1" else f"{name}_{_unit_words(unit)}"
 
 
 def union_of(laws: Mapping[str, type[Law]]) -> Any:
-    """Annotation of a table that names one of several laws by ``type``; laws may hold others of the same ones."""
+    """Make the type annotation of a table that names one of several laws by ``type``; laws of the union may be nested."""
     made: list[type[LawTable]] = []
     whole = _either(laws, made)
     for table in made:
@@ -121,13 +125,13 @@ def union_of(laws: Mapping[str, type[Law]]) -> Any:
 
 
 def table_of(law: type[Law]) -> Any:
-    """Table of a case file with a law's parameters."""
+    """Make the table of a case file that has a law's parameters as keys."""
     made: list[type[LawTable]] = []
     return _table(law, None, made)
 
 
 def _either(laws: Mapping[str, type[Law]], made: list[type[LawTable]]) -> Any:
-    """One of the laws' tables; what is made goes to the end of a list."""
+    """Return the type annotation of a table for any one of the laws; append the tables newly made to the list ``made``."""
     return one_of({name: _table(law, name, made) for name, law in laws.items()})
 
 
@@ -149,13 +153,13 @@ def _table(law: type[Law], name: str | None, made: list[type[LawTable]]) -> type
 
 
 def _default(field: dataclasses.Field) -> Any:
-    """Optional keys are left to the law's own default, so that a manifest says what was typed."""
+    """Return None for a field with a default, so that the law sets it and a manifest shows only what the user gave."""
     has_one = field.default is not dataclasses.MISSING or field.default_factory is not dataclasses.MISSING
     return None if has_one else ...
 
 
 def _kind(field: dataclasses.Field, hint: Any, made: list[type[LawTable]]) -> Any:
-    """The type of a key by what the law says of its field."""
+    """Return the type of a case-file key from the ``hint`` of the law's field; append the tables newly made to ``made``."""
     options = [option for option in _members(hint) if option not in (type(None), Array, np.ndarray)]
     if "types" in field.metadata:
         return _either(field.metadata["types"], made)
@@ -174,22 +178,22 @@ def _members(hint: Any) -> tuple[Any, ...]:
 
 
 def _number(field: dataclasses.Field, is_real: bool) -> Any:
-    per = inner_per_typed(field.metadata["typed"], field.metadata["unit"])
+    per = unit_factor(field.metadata["typed"], field.metadata["unit"])
     low, high = field.metadata["low"] / per, field.metadata["high"] / per
     least = {"above" if field.metadata["is_open"] else "least": low} if np.isfinite(low) else {}
     most = {"most": high} if np.isfinite(high) else {}
-    return Annotated[Number if is_real else Integer, limits(**least, **most)]
+    return Annotated[Number if is_real else Integer, bounds(**least, **most)]
 
 
 def _inner(value: Any, field: dataclasses.Field) -> Any:
-    """From what is typed to what the law counts in."""
+    """Convert a value from the unit of the case file to that of the law, and build laws inside it."""
     if isinstance(value, LawTable):
         if value.growth_of_fibres() is not None:
-            raise InputError("a law inside another one must not grow: say growth beside type, or as table [growth]")
+            raise InputError("a law inside another one must not grow: give the outer law growth, or a table [growth]")
         return value.build()
     if isinstance(value, tuple):
         return tuple(_inner(item, field) for item in value)
-    per = inner_per_typed(field.metadata["typed"], field.metadata["unit"]) if "symbol" in field.metadata else 1.0
+    per = unit_factor(field.metadata["typed"], field.metadata["unit"]) if "symbol" in field.metadata else 1.0
     return value if per == 1.0 else value * per
 
 
@@ -203,7 +207,7 @@ AnyGrowth = union_of(GROWTHS)
 
 
 class NamesALaw(Protocol):
-    """A case with tables of laws."""
+    """Interface of a case that has the tables ``[[law]]`` and ``[growth]``."""
 
     @property
     def law(self) -> tuple[LawTable, ...]: ...  # noqa: D102
@@ -212,20 +216,20 @@ class NamesALaw(Protocol):
 
 
 def law_of(case: NamesALaw) -> EnergyMaterial:
-    """Make the law of a case: parts add up, and what grows is the whole tissue. The one place of composition.
+    """Build the law of a case: stresses of the tables [[law]] add up, and growth applies to the whole tissue.
 
     Raises
     ------
     InputError
-        If values do not go together, or growth is said more than once.
+        If values contradict each other, or growth is given more than once.
     """
     return _composed(case, [table.build() for table in case.law], case.growth.build() if case.growth else None)
 
 
 def checked_law(case: NamesALaw) -> EnergyMaterial:
-    """``law_of`` while the case is checked: what is at fault is told with its table."""
-    parts = [_told(f"law[{number}]", table.build) for number, table in enumerate(case.law)]
-    growth = _told("growth", case.growth.build) if case.growth else None
+    """Build the law while the case is checked, as ``law_of``, with errors that name the table at fault."""
+    parts = [_with_key(f"law[{number}]", table.build) for number, table in enumerate(case.law)]
+    growth = _with_key("growth", case.growth.build) if case.growth else None
     try:
         return _composed(case, parts, growth)
     except InputError as error:
@@ -236,12 +240,12 @@ def _composed(case: NamesALaw, parts: list[Any], growth: Any) -> EnergyMaterial:
     said = {f"law[{number}].growth": table.growth_of_fibres() for number, table in enumerate(case.law)}
     growths = {place: grown for place, grown in (said | {"[growth]": growth}).items() if grown is not None}
     if len(growths) > 1:
-        raise InputError(f"growth must be said once, for the whole tissue; found {', '.join(growths)}")
+        raise InputError(f"growth must be given once, for the whole tissue; found {', '.join(growths)}")
     law = parts[0] if len(parts) == 1 else Sum(tuple(parts))
     return Growing(law, *growths.values()) if growths else law
 
 
-def _told(key: str, build: Callable[[], Law]) -> Law:
+def _with_key(key: str, build: Callable[[], Law]) -> Law:
     try:
         return build()
     except InputError as error:

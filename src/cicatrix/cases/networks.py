@@ -12,20 +12,20 @@ from .table import Table
 
 
 class NetworkTable(Table):
-    """Where the network is: two CSV files, or one of SBML."""
+    """Files of the network: two CSV files, or one SBML file."""
 
-    species: Path | None = None
-    reactions: Path | None = None
-    inhibition: Literal["complement", "weighted"] = "complement"
-    sbml: Path | None = None
-    time_unit: Literal["s", "min", "h", "d"] = "s"  # of an SBML file
+    species: Path | None = None  # CSV file of species: id, y_init, y_max, tau_h
+    reactions: Path | None = None  # CSV file of reactions: id, rule, weight, n, ec50
+    inhibition: Literal["complement", "weighted"] = "complement"  # NOT is 1 - activity, or weight - activity
+    sbml: Path | None = None  # SBML file, instead of the two CSV files
+    time_unit: Literal["s", "min", "h", "d"] = "s"  # unit of time in the SBML file
 
     @model_validator(mode="after")
     def _one_of_two(self) -> NetworkTable:
         if self.sbml is not None and (self.species is not None or self.reactions is not None):
             raise fault("sbml", "must be given without species and reactions, or those two without it")
         if self.sbml is None and self.species is None:
-            raise fault("species", "is missing: species and reactions name CSV files, or sbml one of SBML")
+            raise fault("species", "is missing: name CSV files by species and reactions, or an SBML file by sbml")
         if self.sbml is None and self.reactions is None:
-            raise fault("reactions", "is missing, which belongs to species")
+            raise fault("reactions", "is missing: a network in CSV files needs both species and reactions")
         return self

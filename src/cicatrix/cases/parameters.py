@@ -1,4 +1,4 @@
-"""The numbers of a case's laws by their keys, such as ``law.0.mu_kPa``: which there are, and a case with others."""
+"""Numerical parameters of a case's laws by key, such as ``law.0.mu_kPa``: list them, and replace them in a case."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 from ..core.errors import InputError
-from ..core.units import inner_per_typed
+from ..core.units import unit_factor
 from .laws import LawTable, NamesALaw, key_of
 from .table import Table
 
 
 def parameters_of(case: NamesALaw) -> dict[str, float | None]:
-    """Every number of the laws that a history can be differentiated by: key -> value; None where none is said."""
+    """Return the law parameters with respect to which a history can be differentiated: key -> value (None if not a number)."""
     found: dict[str, float | None] = {}
     for name in ("law", "growth"):
         found.update(_leaves(name, getattr(case, name)))
@@ -22,23 +22,23 @@ def parameters_of(case: NamesALaw) -> dict[str, float | None]:
 
 
 def known(case: NamesALaw, key: str) -> float | None:
-    """The value of a key, None where none is said.
+    """Return the value of a parameter by its key; None if the value is not a number.
 
     Raises
     ------
     InputError
-        If there is no such number: the nearest known one, or all of them.
+        If no law has such a parameter; the message names the most similar key, or all keys.
     """
     there = parameters_of(case)
     if key in there:
         return there[key]
     near = difflib.get_close_matches(key, there, n=1)
     hint = f"did you mean {near[0]}?" if near else f"known are {', '.join(there)}"
-    raise InputError(f"{key} is no number of a law that can be fitted; {hint}")
+    raise InputError(f"{key} is not a parameter of a law that can be fitted; {hint}")
 
 
 def replaced(case: NamesALaw, values: Mapping[str, Any]) -> NamesALaw:
-    """The case with other numbers under keys that are known; they may be traced, and are not checked here."""
+    """Return the case with other values for known keys; the values may be traced by JAX, and are not checked here."""
     for key, value in values.items():
         case = _put(case, key.split("."), value)
     return case
@@ -60,14 +60,14 @@ def _leaves(at: str, value: Any) -> Iterator[tuple[str, float | None]]:
 
 
 def _held(table: Table) -> dict[str, float | None]:
-    """Numbers that are left to the law's own default, as they would be typed."""
+    """Return the defaults of parameters missing in a table: key -> value in the units of case files (None if not a number)."""
     fields = dataclasses.fields(table.made) if isinstance(table, LawTable) else ()
     out: dict[str, float | None] = {}
     for field in fields:
         is_unsaid = "symbol" in field.metadata and getattr(table, key_of(field), None) is None
         if is_unsaid and not field.metadata.get("static"):
             default = field.default if isinstance(field.default, float) else None
-            out[key_of(field)] = default and default / inner_per_typed(field.metadata["typed"], field.metadata["unit"])
+            out[key_of(field)] = default and default / unit_factor(field.metadata["typed"], field.metadata["unit"])
     return out
 
 
@@ -83,4 +83,4 @@ def _put(tables: Any, names: Sequence[str], value: Any) -> Any:
     if isinstance(tables, tuple):
         at = int(first)
         return (*tables[:at], _put(tables[at], rest, value), *tables[at + 1 :])
-    return tables.model_copy(update={first: _put(getattr(tables, first), rest, value)})
+    return tables.unchecked(**{first: _put(getattr(tables, first), rest, value)})

@@ -1,4 +1,4 @@
-"""Where an input lies: beside the case file, or in the folder of shared image data."""
+"""Paths of inputs, relative to the case file or in the folder of shared image data."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ DATA_VARIABLE = "CICATRIX_DATA"
 
 
 def input_path(text: str, folder: Path) -> Path:
-    """Return the absolute path that a case file in ``folder`` means.
+    """Return the absolute path of an input that a case file in ``folder`` names.
 
     Parameters
     ----------
@@ -25,7 +25,7 @@ def input_path(text: str, folder: Path) -> Path:
     Raises
     ------
     InputError
-        If nothing is there; the sentence lacks its subject, the key.
+        If there is no such file; the caller puts the key before the message.
     """
     if not text.removeprefix(DATA_PREFIX).strip():
         raise InputError("must name a file or folder; got an empty text")
@@ -44,17 +44,17 @@ def data_folder(start: Path | None = None) -> Path:
     Parameters
     ----------
     start : Path, optional
-        The project is looked for upwards from here, then from the working directory, then from this module.
+        The project's root is searched upwards from here, then from the working directory, then from this module.
 
     Raises
     ------
     InputError
-        If there is none; the sentence lacks its subject.
+        If there is no such folder; the caller puts the subject before the message.
     """
     named = os.environ.get(DATA_VARIABLE)
     if named:
         if not Path(named).is_dir():
-            raise InputError(f"needs the image data, but {DATA_VARIABLE} names {named}, which is no folder")
+            raise InputError(f"needs the image data, but {DATA_VARIABLE} names {named}, which is not a folder")
         return Path(named).resolve()
     for root in _project_roots([start or Path(), Path(), Path(__file__).parent]):
         if (root.parent / "shared" / "data").is_dir():

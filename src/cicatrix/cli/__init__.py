@@ -1,1 +1,1 @@
-"""One file per verb, in the order of the road."""
+"""Command line: one module per verb of ``cicatrix``."""

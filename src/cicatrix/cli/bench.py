@@ -1,4 +1,4 @@
-"""``cicatrix bench``: seconds, each with its ceiling or peer measured in the same run."""
+"""``cicatrix bench``: measure run times, each compared with a hardware limit or another program timed in the same run."""
 
 from __future__ import annotations
 
@@ -6,21 +6,13 @@ import argparse
 import json
 from pathlib import Path
 
-from ..bench.benchmarks import BENCHMARKS
+from ..bench.benchmarks import BENCHMARKS, measurements
 from ..bench.measurement import Measurement
 from ..core.errors import InputError
 
 
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("bench", help="measure speed", allow_abbrev=False)
-    parser.add_argument("names", metavar="NAME", nargs="*", help=f"a benchmark: {', '.join(BENCHMARKS)} (default: all)")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="write the numbers to a file too")
-    parser.set_defaults(run=run)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Run the benchmarks one after the other and print a line per measurement."""
+    """Run the benchmarks one after the other and print one line per measurement."""
     names = args.names or list(BENCHMARKS)
     for name in names:
         if name not in BENCHMARKS:
@@ -28,7 +20,7 @@ def run(args: argparse.Namespace) -> int:
     measured: dict[str, list[Measurement]] = {}
     for name in names:
         measured[name] = []
-        for row in BENCHMARKS[name]():
+        for row in measurements(name):
             measured[name].append(row)
             print(f"{name:<12} {row.what:<36} {row.value:12.6g} {row.unit:<6} {row.note}".rstrip(), flush=True)
     if args.json:

@@ -1,4 +1,4 @@
-"""``cicatrix check``: validate a case file, every fault on a line."""
+"""``cicatrix check``: validate a case file and print every fault on its own line."""
 
 from __future__ import annotations
 
@@ -6,19 +6,10 @@ import argparse
 import sys
 
 from ..kinds.registry import check_case
-from .arguments import add_case, add_overrides
-
-
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("check", help="validate a case file only: every fault, one line each", allow_abbrev=False)
-    add_case(parser)
-    add_overrides(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the faults on stderr, or that there are none."""
+    """Print every fault to stderr, or say on stdout that there are none; return the exit code."""
     faults = check_case(args.case, args.set)
     for fault in faults:
         print(f"{args.case}: {fault}", file=sys.stderr)

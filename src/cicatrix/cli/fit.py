@@ -1,42 +1,22 @@
-"""``cicatrix fit CASE.toml DATA.csv --free KEY=LOW..HIGH``: parameters of a law from measured stretches and stresses."""
+"""``cicatrix fit CASE.toml DATA.csv --free KEY=LOW..HIGH``: fit parameters of a law to measured stretches and stresses."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from ..core.errors import InputError
 from ..files.measurements import read_measurements
+from ..inference.fit import Fit, fit
+from ..inference.fit_folder import claim_folder, write_fit
+from ..kinds.material_point.case import PointCase
+from ..kinds.material_point.measured import experiment
 from ..kinds.registry import load_case
-from .arguments import add_case, add_overrides
-
-if TYPE_CHECKING:
-    from ..inference.fit import Fit
-
-
-def add_parser(verbs: argparse._SubParsersAction) -> None:
-    """Add the verb."""
-    parser = verbs.add_parser("fit", help="find a law's parameters from stretches and stresses", allow_abbrev=False)
-    add_case(parser)
-    words = "columns time_h, lambda_x, sigma_x_kPa, and so on: those of a run's history.csv"
-    parser.add_argument("data", metavar="DATA.csv", type=Path, help=words)
-    words = "a number to find and its bounds, such as law.0.mu_kPa=0.1..10; may be repeated"
-    parser.add_argument("--free", metavar="KEY=LOW..HIGH", action="append", required=True, help=words)
-    parser.add_argument(
-        "--out", metavar="DIR", type=Path, help="the fit's folder (default: fits/NAME of the data file)"
-    )
-    add_overrides(parser)
-    parser.set_defaults(run=run)
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write the folder, print a line per parameter."""
-    from ..inference.fit import fit  # only this verb needs them, and they take a second to load
-    from ..inference.fit_folder import claim_folder, write_fit
-    from ..kinds.material_point.case import PointCase
-    from ..kinds.material_point.measured import experiment
-
     bounds = _all_bounds(args.free)
     case = load_case(args.case, args.set)
     if not isinstance(case, PointCase):
@@ -49,7 +29,12 @@ def run(args: argparse.Namespace) -> int:
     folder = claim_folder(args.out or Path("fits") / args.data.stem)
     found = fit(case, measured, bounds)
     write_fit(
-        folder, case, _told(found, bounds), dict(zip(found.keys, found.estimates.tolist())), columns, found.stresses
+        folder,
+        case,
+        _fit_table(found, bounds),
+        dict(zip(found.keys, found.estimates.tolist())),
+        columns,
+        found.stresses,
     )
     _print(found, folder)
     return 0
@@ -76,8 +61,8 @@ def _bounds(text: str) -> tuple[str, tuple[float, float]]:
     return key.strip().replace("[", ".").replace("]", ""), ends
 
 
-def _told(found: Fit, bounds: dict[str, tuple[float, float]]) -> dict[str, Any]:
-    """What goes to ``fit.json``."""
+def _fit_table(found: Fit, bounds: dict[str, tuple[float, float]]) -> dict[str, Any]:
+    """Return the contents of ``fit.json``."""
     errors = zip(found.keys, found.estimates, found.standard_errors, strict=True)
     return {
         "parameters": {

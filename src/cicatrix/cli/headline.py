@@ -1,15 +1,20 @@
-"""What a finished run tells on the terminal: the main numbers, and where to look."""
+"""Summary that a finished run prints on the terminal: the main numbers and where the files are."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from ..runs.results import Quantity, Results
+from ..pages.run_view import assumption_of
+from ..runs.quantity import Quantity
+from ..runs.results import Results
 
 
 def print_headline(results: Results) -> None:
-    """Print the single numbers of the outcome, the pictures and the folder."""
+    """Print how the run ended, the assumption behind the healed shape, the scalar outcomes, the figures and the folder."""
     print(results.status[1])
+    assumption = assumption_of(results.manifest.get("case", {}))
+    if assumption:
+        print(assumption)
     for line in _numbers(results):
         print(line)
     if results.folder is not None:
@@ -20,7 +25,7 @@ def print_headline(results: Results) -> None:
 
 
 def _numbers(results: Results) -> Iterator[str]:
-    """One line per quantity that is a single number, a text or missing; tables are for outcome.json."""
+    """Yield one line per outcome that is a number, a text or missing; lists and tables are only in outcome.json."""
     for name, asked in results.outcome.items():
         if asked.value is None or isinstance(asked.value, (int, float, str)):
             yield f"  {name:<32} {_value(asked)}"

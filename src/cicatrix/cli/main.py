@@ -1,8 +1,10 @@
-"""The command line: finds the verb, and turns every way to end into an exit code and a sentence."""
+"""Entry point of the command line: run a verb and report how it ended by an exit code and one sentence."""
 
 from __future__ import annotations
 
 import argparse
+import atexit
+import gc
 import os
 import signal
 import sys
@@ -14,46 +16,13 @@ from types import FrameType
 from typing import NoReturn
 
 from ..core.errors import CicatrixError, ConvergenceError, InputError
-from ..core.ranks import speaks, world
+from ..core.ranks import is_first_process, world
 from ..core.version import __version__
+from .arguments import build_parser
 
-VERBS = (
-    "demo",
-    "run",
-    "check",
-    "segment",
-    "mesh",
-    "fit",
-    "report",
-    "plan",
-    "bench",
-)  # modules, in the order of the road
-ON_RANKS = ("run",)  # what several ranks can do together
+ON_RANKS = ("run",)  # verbs that several MPI ranks can run together
 
 DONE, INPUT_AT_FAULT, FAILED, INTERRUPTED = 0, 2, 3, 130
-
-
-class Parser(argparse.ArgumentParser):
-    """An argument parser whose complaint is one sentence."""
-
-    def error(self, message: str) -> NoReturn:
-        """Raise what the user typed wrong."""
-        raise InputError(f"{message}; see {self.prog} --help")
-
-
-def build_parser() -> Parser:
-    """Make the parser with every verb."""
-    parser = Parser(
-        prog="cicatrix",
-        description="From a breast image and a planned lumpectomy to the healed shape.",
-        epilog="Exit codes: 0 done, 2 the input is at fault, 3 no convergence or a fault inside, 130 interrupted.",
-        allow_abbrev=False,
-    )
-    parser.add_argument("--version", action="version", version=f"cicatrix {__version__}")
-    verbs = parser.add_subparsers(title="verbs", dest="verb", metavar="VERB", required=True)
-    for verb in VERBS:  # loaded here, so that an interruption meanwhile is one too
-        import_module(f".{verb}", __package__).add_parser(verbs)
-    return parser
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -62,49 +31,63 @@ def main(argv: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     argv : sequence of str, optional
-        What was typed after ``cicatrix``; the process's own arguments if left out.
+        Arguments after ``cicatrix``; by default those of the process.
 
     Returns
     -------
     int
-        0 done, 2 the input is at fault, 3 no convergence or a fault inside, 130 interrupted.
+        Exit code: 0 done, 2 error in the input, 3 no convergence or an internal error, 130 interrupted.
     """
+    if argv is None:
+        _settle()
     previous = _listen_to_termination()
     args = argparse.Namespace()
     try:
         args = build_parser().parse_args(argv)
         if args.verb not in ON_RANKS and world().size > 1:
             raise InputError(f"cicatrix {args.verb} runs in one process: start it without mpiexec")
-        return args.run(args)
+        return import_module(f".{args.verb}", __package__).run(args)  # the module is named after the verb
     except SystemExit as leaving:  # --help and --version
         return leaving.code if isinstance(leaving.code, int) else DONE
     except CicatrixError as error:
-        return _tell(error)
+        return _report_error(error)
     except KeyboardInterrupt:
-        _say(f"interrupted{getattr(args, 'after_interruption', '')}")
+        _print_error(f"interrupted{getattr(args, 'after_interruption', '')}")
         return INTERRUPTED
-    except BrokenPipeError:  # the reader of a pipe has seen enough
+    except BrokenPipeError:  # the program that reads the pipe has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
     except Exception as error:
-        _say(f"a fault inside cicatrix ({type(error).__name__}); what happened is written to {_write_traceback()}")
+        _print_error(f"internal error ({type(error).__name__}); the traceback is in {_write_traceback()}")
         return FAILED
     finally:
         if previous is not None:
             signal.signal(signal.SIGTERM, previous)
 
 
-def _tell(error: CicatrixError) -> int:
+def _settle() -> None:
+    """Configure garbage collection and OpenBLAS, which may be set for the whole process as it runs nothing but this command.
+
+    Python collects cyclic garbage rarely, and not at exit, because imported modules and JAX traces are needed to the end. Idle
+    threads of OpenBLAS sleep; by default they keep a core busy until the next operation. The defaults took a third
+    of the processor time of a second run.
+    """
+    gc.set_threshold(100_000, 20, 100)
+    atexit.register(gc.freeze)
+    os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")  # 2^4 cycles; read when NumPy is imported
+
+
+def _report_error(error: CicatrixError) -> int:
     if isinstance(error, ConvergenceError):
         for line in error.history:
             print(f"  {line}", file=sys.stderr)
-    _say(" ".join(str(error).split()))
+    _print_error(" ".join(str(error).split()))
     return error.exit_code
 
 
-def _say(sentence: str) -> None:
-    """Tell the user, once for all ranks."""
-    if speaks():
+def _print_error(sentence: str) -> None:
+    """Print a sentence to stderr, on one rank only."""
+    if is_first_process():
         print(f"cicatrix: {sentence}", file=sys.stderr)
 
 
@@ -117,7 +100,7 @@ def _write_traceback() -> str:
 
 
 def _listen_to_termination() -> signal.Handlers | int | None:
-    """Let a polite kill end a run as Ctrl-C does; only the main thread may set this."""
+    """Make SIGTERM end a run like Ctrl-C; return the previous handler, or None outside the main thread."""
     try:
         previous = signal.signal(signal.SIGTERM, _terminate)
     except ValueError:

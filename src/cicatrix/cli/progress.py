@@ -1,4 +1,4 @@
-"""Progress as a person or a log file wants it: bars on a terminal, plain lines when piped; both on stderr."""
+"""Progress display on stderr: bars on a terminal, plain lines when the output is piped to a file."""
 
 from __future__ import annotations
 
@@ -11,33 +11,33 @@ from rich.progress import Progress as Bars
 
 from ..runs.progress import Progress
 
-STEP = 0.1  # a plain line for every tenth
+STEP = 0.1  # fraction of a stage between two plain lines
 
 
 class PlainProgress(Progress):
-    """One line when a stage starts, for every tenth of it, and with its seconds when it ends."""
+    """Progress in plain lines: one when a stage starts, one per tenth of it, and one with its time when it ends."""
 
     def __init__(self, stream: TextIO):
         super().__init__()
         self._stream = stream
-        self._stages: list[tuple[str, float]] = []  # name and the fraction last told
+        self._stages: list[tuple[str, float]] = []  # name and the fraction last printed
 
     def begin(self, name: str) -> None:
-        """Say that a stage starts."""
+        """Print the name of a stage that starts."""
         self._stages.append((name, 0.0))
         self._print(f"{name} ...")
 
     def update(self, fraction: float | None, text: str = "") -> None:
-        """Say how far the stage is, if it moved on by a tenth."""
+        """Print the fraction done if it has grown by a tenth since the last line."""
         if not self._stages or fraction is None:
             return
-        name, told = self._stages[-1]
-        if fraction >= told + STEP:
+        name, printed = self._stages[-1]
+        if fraction >= printed + STEP:
             self._stages[-1] = (name, fraction)
             self._print(f"{name}: {fraction:.0%} {text}".rstrip())
 
     def end(self, name: str) -> None:
-        """Say how long the stage took, all its visits together."""
+        """Print the total time of the stage; repeated stages are summed."""
         self._stages.pop()
         self._print(f"{name}: {self.seconds[name].wall:.1f} s")
 
@@ -46,7 +46,7 @@ class PlainProgress(Progress):
 
 
 class BarProgress(Progress):
-    """One live bar per stage."""
+    """Progress as one live bar per stage."""
 
     def __init__(self, console: Console):
         super().__init__()
@@ -63,22 +63,22 @@ class BarProgress(Progress):
         self._open.append(name)
 
     def update(self, fraction: float | None, text: str = "") -> None:
-        """Move the innermost bar."""
+        """Update the bar of the innermost stage."""
         if self._open:
             total = None if fraction is None else 1.0
             self._bars.update(self._tasks[self._open[-1]], total=total, completed=fraction, word=text)
 
     def end(self, name: str) -> None:
-        """Fill the bar."""
+        """Show the stage's bar as complete."""
         self._open.pop()
         self._bars.update(self._tasks[name], total=1.0, completed=1.0)
 
     def close(self) -> None:
-        """Leave the bars as they are and give the terminal back."""
+        """Stop updating the bars and release the terminal."""
         self._bars.stop()
 
 
 def make_progress(stream: TextIO | None = None) -> PlainProgress | BarProgress:
-    """Bars if the stream (stderr) is a terminal, lines if it is not."""
+    """Return bars if the stream (default: stderr) is a terminal, plain lines otherwise."""
     target: TextIO = sys.stderr if stream is None else stream
     return BarProgress(Console(file=target)) if target.isatty() else PlainProgress(target)

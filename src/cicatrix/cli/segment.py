@@ -1,4 +1,4 @@
-"""``cicatrix segment IMAGE --out DIR``: labels, probabilities and a picture of one breast."""
+"""``cicatrix segment IMAGE --out DIR``: segment one breast; write labels, tissue probabilities and a preview picture."""
 
 from __future__ import annotations
 
@@ -7,49 +7,18 @@ import shutil
 import sys
 import tempfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from ..core.errors import InputError
-
-if TYPE_CHECKING:
-    from ..image.segment import Segmentation
-
-
-def add_parser(subparsers: argparse._SubParsersAction) -> None:
-    """Add the verb to the command line."""
-    parser = subparsers.add_parser("segment", help="labels and tissue probabilities of one breast from an MRI")
-    parser.add_argument("image", metavar="IMAGE", type=Path, help="NIfTI, NRRD or MHA file, or a DICOM folder")
-    parser.add_argument(
-        "--out", type=Path, required=True, metavar="DIR", help="folder to write; must not exist or be empty"
-    )
-    parser.add_argument("--weighting", choices=("t1", "t1-fatsat"), default="t1")
-    parser.add_argument("--side", choices=("left", "right"), default="left", help="the patient's side")
-    parser.add_argument("--position", choices=("prone", "supine", "upright"), default="prone")
-    parser.add_argument(
-        "--chest-wall-plane",
-        nargs=6,
-        type=float,
-        metavar=("X", "Y", "Z", "NX", "NY", "NZ"),
-        help="a point [mm, LPS] and a normal, instead of the automatic chest wall",
-    )
-    parser.add_argument(
-        "--resection-centre",
-        nargs=3,
-        type=float,
-        metavar=("X", "Y", "Z"),
-        help="mark a bright mass here as tumour [mm]",
-    )
-    parser.set_defaults(run=run)
+from ..files.figures_image import draw_preview
+from ..files.images import read_image, write_volume
+from ..image.segment import Segmentation, segment
 
 
 def run(args: argparse.Namespace) -> int:
-    """Segment and write; the folder appears only when everything in it is whole. Returns the exit code."""
-    from ..files.images import read_image
-    from ..image.segment import segment  # only this verb needs them, and they take a second to load
-
+    """Segment the image, write the folder and return the exit code; the folder appears only when it is complete."""
     out: Path = args.out
     if out.exists() and (not out.is_dir() or any(out.iterdir())):
-        raise InputError(f"--out: {out.name} already holds something; give a new or empty folder.")
+        raise InputError(f"--out: {out.name} is not empty; give a new or empty folder.")
     plane = args.chest_wall_plane
     wall = {"point_mm": plane[:3], "normal": plane[3:]} if plane else None
     centre = tuple(args.resection_centre) if args.resection_centre else None
@@ -70,10 +39,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _write(out: Path, image, found: Segmentation) -> None:
-    """Write beside the target, then rename."""
-    from ..files.figures_image import draw_preview
-    from ..files.images import write_volume
-
+    """Write to a temporary folder next to the target, then rename it."""
     out.parent.mkdir(parents=True, exist_ok=True)
     half = Path(tempfile.mkdtemp(prefix=f".{out.name}-", dir=out.parent))
     try:

@@ -1,27 +1,27 @@
-"""What can go wrong, in the reader's language: one sentence that says what, where and what would be right."""
+"""Exceptions whose message is one sentence: what went wrong, where, and what to do instead."""
 
 
 class CicatrixError(Exception):
-    """Root of all errors that reach a user as a sentence; ``exit_code`` is what the command line returns."""
+    """Base class of errors shown to the user as one sentence; ``exit_code`` is what the command line returns."""
 
     exit_code = 3
 
 
 class InputError(CicatrixError):
-    """The input is at fault (exit code 2): the message says what, where, and what would be right."""
+    """Invalid input (exit code 2): the message says what is wrong, where, and what would be right."""
 
     exit_code = 2
 
 
 class ConvergenceError(CicatrixError):
-    """A solver gave up (exit code 3).
+    """A solver did not converge (exit code 3).
 
     Parameters
     ----------
     message : str
         One sentence: what did not converge, where it stopped, what to try.
     history : list of str
-        What was tried, one line each, oldest first.
+        One line for each attempt of the solver, oldest first.
     """
 
     def __init__(self, message: str, history: list[str] | None = None):
@@ -30,4 +30,4 @@ class ConvergenceError(CicatrixError):
 
 
 class InvariantError(CicatrixError):
-    """Something that must hold did not (exit code 3), such as the number of cells: a fault of the program."""
+    """An invariant is violated (exit code 3), such as the number of cells: an error in the program, not in the input."""

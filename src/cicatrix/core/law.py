@@ -1,4 +1,4 @@
-"""What every constitutive or rate law shares: named, range-checked, differentiable parameters."""
+"""Base class of constitutive and rate laws, whose parameters have units and ranges and are differentiable."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ import jax
 import numpy as np
 
 from .errors import InputError
+from .precision import use_double_precision
 
-jax.config.update("jax_enable_x64", True)  # every law in double precision
+use_double_precision()
 
 
 def param(
@@ -26,11 +27,12 @@ def param(
     typed: str | None = None,
     static: bool = False,
 ) -> Any:
-    """Declare a parameter of a law: its unit, symbol and range, closed unless it is to be ``above`` a number.
+    """Declare a parameter of a law: its unit, symbol and range.
 
-    The value is a number or an array of one number per point; ``static`` ones are numbers, and not differentiable. A case
-    file's key is the field's name and the unit that is ``typed`` there ("h" of a time in s, "deg" of an angle in rad), that
-    of the law if nothing is said.
+    The range is closed, [low, high], or open below, (above, high], if ``above`` is given. The value is a number or an array
+    with one value per point; a ``static`` parameter is a single number and not differentiable. In a case file the parameter has
+    the unit ``typed`` (such as "h" for a time in s, "deg" for an angle in rad), by default the law's own unit; its key is the
+    field's name followed by that unit, as in ``tau_h``.
     """
     bounds = {"low": low if above is None else above, "high": high, "is_open": above is not None}
     metadata = {"unit": unit, "symbol": symbol, "typed": typed or unit, **bounds}
@@ -38,13 +40,13 @@ def param(
 
 
 def count(symbol: str, *, low: int, high: int, default: int) -> Any:
-    """Declare a whole number that says how finely a law integrates: not differentiable, the same at all points."""
+    """Declare an integer resolution parameter, such as a number of quadrature points: static, the same at all points."""
     metadata = {"unit": "1", "symbol": symbol, "low": low, "high": high, "is_open": False, "typed": "1"}
     return _declared(metadata, default, static=True)
 
 
 def choice(types: Mapping[str, type], *, default: Any = dataclasses.MISSING) -> Any:
-    """Declare a part of a law that may be of several types; a case file names one by ``type`` in an inline table."""
+    """Declare a component of a law with several possible types; a case file selects one by ``type`` in an inline table."""
     return _declared({"types": dict(types)}, default)
 
 
@@ -54,12 +56,12 @@ def _declared(metadata: dict[str, Any], default: Any, *, static: bool = False) -
 
 
 class Law(eqx.Module):
-    """A frozen, differentiable record of parameters; refuses values outside their range.
+    """Base class of laws: an immutable record of differentiable parameters, which rejects values outside their ranges.
 
     Raises
     ------
     InputError
-        If a parameter is NaN or outside the range that its ``param`` names.
+        If a parameter is NaN or outside the range declared by its ``param``.
     """
 
     def __check_init__(self):
@@ -74,7 +76,7 @@ def _check_range(law: str, field: dataclasses.Field, value: Any) -> None:
             _check_range(law, field, one)
         return
     if isinstance(value, jax.core.Tracer) or not isinstance(value, (int, float, np.ndarray, jax.Array)):
-        return  # inside a transformation: checked when the law was made
+        return  # inside a JAX transformation: already checked when the law was created
     said, smallest, largest = field.metadata, np.min(value), np.max(value)
     is_inside = smallest > said["low"] if said["is_open"] else smallest >= said["low"]
     if not (is_inside and largest <= said["high"]):

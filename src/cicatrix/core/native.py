@@ -1,8 +1,8 @@
-"""The one place that chooses between a compiled kernel and its NumPy twin of the same name and arguments.
+"""Kernels, each in its compiled version or as its NumPy reference implementation with the same arguments.
 
-The kernel is taken where the compiled module is there, unless the environment variable ``CICATRIX_NATIVE`` is ``0``
-when this module is first imported. Kernel and twin give the same bits, so the choice changes the time only; but for
-``add_contracted`` and ``turn_blocks``, which sum in another order.
+The compiled version is used if the compiled module is installed, unless the environment variable ``CICATRIX_NATIVE`` is
+``0`` when this module is first imported. Both give bitwise identical results, so the choice affects speed only; the
+exceptions are ``add_contracted`` and ``turn_blocks``, which sum in a different order.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ from types import ModuleType
 from . import philox, scatter, switching
 from .errors import InputError
 
-MOST_THREADS = 256
+MAX_THREADS = 256
 
 
 def _compiled() -> ModuleType | None:
-    """Return the compiled module, or None where it was not built or is switched off."""
+    """Return the compiled module, or None if it was not built or is switched off."""
     if os.environ.get("CICATRIX_NATIVE", "1") == "0":
         return None
     try:
@@ -38,21 +38,23 @@ switch_states = _kernels.switch_states if _kernels is not None else switching.sw
 
 
 class _NoFaultError(Exception):
-    """Never raised."""
+    """Placeholder for the compiled module's exception; never raised."""
 
 
-automaton_core = _kernels.AutomatonCore if _kernels is not None else None  # its twin is healing/twin.py
+automaton_core = (
+    _kernels.AutomatonCore if _kernels is not None else None
+)  # reference implementation: healing/reference.py
 InvariantFault = _kernels.InvariantFault if _kernels is not None else _NoFaultError
 
 
 def instruction_sets() -> list[str]:
-    """Names of the instruction sets the kernels are compiled for and this machine can run, the best one last."""
+    """Return the instruction sets for which the kernels are compiled and which this machine supports, the best one last."""
     return _kernels.instruction_sets() if _kernels is not None else []
 
 
 def threads() -> int:
-    """Threads of the compiled kernels: ``CICATRIX_THREADS``, or 1."""
+    """Return the number of threads of the compiled kernels: ``CICATRIX_THREADS``, or 1."""
     text = os.environ.get("CICATRIX_THREADS", "1")
-    if not text.isdecimal() or not 1 <= int(text) <= MOST_THREADS:
-        raise InputError(f"CICATRIX_THREADS must be a whole number from 1 to {MOST_THREADS}; got {text}")
+    if not text.isdecimal() or not 1 <= int(text) <= MAX_THREADS:
+        raise InputError(f"CICATRIX_THREADS must be a whole number from 1 to {MAX_THREADS}; got {text}")
     return int(text)

@@ -1,4 +1,4 @@
-"""Philox4x32-10, a counter-based random number generator: the NumPy twin of the compiled kernel.
+"""Philox4x32-10, a counter-based random number generator: NumPy reference implementation of the compiled kernel.
 
 Source: Salmon, Moraes, Dror, Shaw, Parallel random numbers: as easy as 1, 2, 3, SC11 (2011). A draw is a pure
 function of (counter, key), so any implementation, thread count or order of evaluation gives the same numbers.
@@ -16,12 +16,12 @@ SHIFT = np.uint64(32)
 
 
 def philox4x32(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
-    """Four random words per counter: (..., 4) uint32, (2,) uint32 -> (..., 4) uint32.
+    """Return four random words per counter: (..., 4) uint32, key (2,) uint32 -> (..., 4) uint32.
 
     Raises
     ------
     ValueError
-        If the last axis of ``counter`` is not 4 long or ``key`` is not two words.
+        If the last axis of ``counter`` does not have length 4 or ``key`` is not two words.
     """
     counter, key = np.asarray(counter, np.uint32), np.asarray(key, np.uint32)
     if counter.ndim < 1 or counter.shape[-1] != 4 or key.shape != (2,):
@@ -33,7 +33,7 @@ def philox4x32(counter: np.ndarray, key: np.ndarray) -> np.ndarray:
 
 
 def _mix(words: tuple[np.ndarray, ...], key0: int, key1: int) -> tuple[np.ndarray, ...]:
-    """Do one round on four words, each (...) uint64 below 2^32."""
+    """Apply one round of the generator with two key words; return the four new words, each (...) uint64 below 2^32."""
     product0, product1 = words[0] * MULTIPLIERS[0], words[2] * MULTIPLIERS[1]
     return (
         (product1 >> SHIFT) ^ words[1] ^ np.uint64(key0),

@@ -1,4 +1,4 @@
-"""Random numbers with a name: a draw belongs to (seed, site, step, phase) and to nothing else."""
+"""Counter-based random numbers: a draw depends only on (seed, site, step, phase)."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ONE = 1 << 32  # probability 1 on the scale of one 32-bit word
 
 
 class Phase(IntEnum):
-    """What a draw is for; the numbers are part of the specification, never reuse one."""
+    """Purpose of a random draw; its number is part of the generator's counter, so never change or reuse it."""
 
     EDGE_DIVISION = 0
     MOTILITY_TIE = 1
@@ -30,7 +30,7 @@ class Phase(IntEnum):
 
 
 def site_words(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarray:
-    """Four random words per site: sites (...) [index] -> (..., 4) uint32.
+    """Return four random words per site: sites (...) [index] -> (..., 4) uint32.
 
     Key = (seed low, seed high), counter = (site low, site high, step, phase).
     """
@@ -44,9 +44,9 @@ def site_words(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarr
 
 
 def site_word(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarray:
-    """One random word per site: sites (...) [index] -> (...) uint32; four sites share a call of the generator.
+    """Return one random word per site: sites (...) [index] -> (...) uint32; four sites share one counter.
 
-    Word ``site mod 4`` of ``site_words`` at ``site div 4``.
+    Site i uses word ``i mod 4`` of the four words that ``site_words`` returns for ``i div 4``.
     """
     site = np.asarray(site).astype(np.uint64)
     words = site_words(seed, site >> np.uint64(2), step, phase)
@@ -54,10 +54,10 @@ def site_word(seed: int, site: np.ndarray, step: int, phase: Phase) -> np.ndarra
 
 
 def threshold(probability: np.ndarray | float) -> np.ndarray:
-    """Integer form of a probability: (...) in [0, 1] -> (...) uint64; an event happens where word < threshold."""
+    """Convert a probability to an integer: (...) in [0, 1] -> (...) uint64; an event happens where word < threshold."""
     return np.floor(np.asarray(probability, float) * ONE).astype(np.uint64)
 
 
 def below(word: np.ndarray, n: np.ndarray | int) -> np.ndarray:
-    """Integer in [0, n) from a 32-bit word, floor(word n / 2^32): (...) uint32 -> (...) int64."""
+    """Map 32-bit words to integers in [0, n), floor(word n / 2^32): (...) uint32 -> (...) int64."""
     return ((word.astype(np.uint64) * np.asarray(n, np.uint64)) >> np.uint64(32)).astype(np.int64)

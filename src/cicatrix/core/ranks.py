@@ -1,158 +1,93 @@
-"""Ranks: processes that ``mpiexec`` started together to do one run, and what they say to each other.
+"""MPI ranks: the processes that ``mpiexec`` started for one run, and the communication between them.
 
-mpi4py is loaded only in a process that ``mpiexec`` or ``srun`` started; everywhere else there is one rank, alone.
+mpi4py is loaded only in a process that ``mpiexec`` or ``srun`` started; any other process is a single rank.
 """
 
 from __future__ import annotations
 
 import ctypes
 import os
-import signal
-import sys
-import threading
-import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-import numpy as np
+from .errors import InputError
 
-from .errors import ConvergenceError, InputError, InvariantError
+if TYPE_CHECKING:
+    import numpy as np
 
 T = TypeVar("T")
 
 OPEN_MPI = "OMPI_COMM_WORLD_SIZE"
-SIZES = (OPEN_MPI, "PMI_SIZE")  # what Open MPI, and MPICH and its kin, tell the processes they start
-PMIX = "PMIX_RANK"  # and what other starters do, without the number
+SIZES = (OPEN_MPI, "PMI_SIZE")  # number of ranks, set by Open MPI, and by MPICH and its derivatives
+PMIX = "PMIX_RANK"  # set by other launchers, without the number of ranks
 RANKS = ("OMPI_COMM_WORLD_RANK", "PMI_RANK", PMIX)
-FAILED = 3
 
 
 class Ranks:
-    """One rank of one; with more of them ``MpiRanks``."""
+    """Group of one rank, and the interface of groups of several ranks (:class:`.mpi_ranks.MpiRanks`)."""
 
     rank = 0
     size = 1
 
     @property
     def is_first(self) -> bool:
-        """Whether this is the rank that reads and writes the run's folder and speaks to the user."""
+        """True on the rank that reads and writes the run's folder and prints messages to the user."""
         return self.rank == 0
 
     def gather(self, mine: bytes) -> list[bytes]:
-        """Give every rank the messages of all, in the order of ranks; all must call it alike."""
+        """Return the messages of all ranks, in the order of ranks, on every rank (collective)."""
         return [mine]
 
     def share(self, value: T) -> T:
-        """Return the first rank's value."""
+        """Return the first rank's value on all ranks (collective)."""
         return value
 
     def sum(self, mine: np.ndarray) -> np.ndarray:
-        """Sum arrays of one shape over the ranks: the same bits on all of them."""
+        """Sum arrays of equal shape over the ranks; the result is bitwise identical on all ranks (collective)."""
         return mine
 
     def agree(self, job: Callable[[], T]) -> T:
-        """Do a job; where it failed on one rank it fails on all, with the first one's error."""
+        """Run ``job`` on every rank and return its result; if it fails on any rank, raise an error on all ranks (collective).
+
+        Ranks on which it failed raise their own error, all others that of the first such rank.
+        """
         return job()
 
     @contextmanager
-    def all_or_none(self) -> Iterator[None]:
-        """Between steps that all do alike: an error that the others cannot know ends the whole run.
+    def abort_on_error(self) -> Iterator[None]:
+        """Guard a collective section: an exception that is not raised on all ranks aborts all of them (MPI_Abort).
 
-        What follows from numbers that all have (ConvergenceError, InvariantError) all raise, and so they do KeyboardInterrupt
-        where they are ``uninterrupted``.
+        ConvergenceError and InvariantError do not abort: they depend on values that all ranks have, so all ranks raise them. Nor
+        does KeyboardInterrupt, which is raised on all ranks if signals are deferred by ``uninterrupted``.
         """
         yield
 
     @contextmanager
     def uninterrupted(self) -> Iterator[None]:
-        """Let no signal come between what all ranks do alike; ``is_interrupted`` tells whether one came."""
+        """Defer SIGINT and SIGTERM during collective work; ``is_interrupted`` is True once a signal has arrived."""
         yield
 
     @property
     def is_interrupted(self) -> bool:
-        """Whether this rank was asked to stop, and goes on until all can."""
+        """True if this rank received a deferred signal and continues until all ranks can stop."""
         return False
 
 
-class MpiRanks(Ranks):
-    """Several ranks, over mpi4py."""
-
-    def __init__(self, comm: Any) -> None:
-        self._comm, self.rank, self.size = comm, comm.Get_rank(), comm.Get_size()
-        self._asked = threading.Event()
-
-    def gather(self, mine: bytes) -> list[bytes]:  # noqa: D102
-        return self._comm.allgather(mine)
-
-    def share(self, value: T) -> T:  # noqa: D102
-        return self._comm.bcast(value)
-
-    def sum(self, mine: np.ndarray) -> np.ndarray:  # noqa: D102
-        mine = np.ascontiguousarray(mine, float)
-        out = np.empty_like(mine)
-        self._comm.Reduce(mine, out)
-        self._comm.Bcast(out)  # not Allreduce, which may round differently on each
-        return out
-
-    def agree(self, job: Callable[[], T]) -> T:  # noqa: D102
-        done: Any = None
-        fault = None
-        try:
-            done = job()
-        except BaseException as own:
-            fault = own
-        faults = [other for other in self._comm.allgather(fault) if other is not None]
-        if faults:
-            raise fault or faults[0]
-        return done
-
-    @contextmanager
-    def all_or_none(self) -> Iterator[None]:  # noqa: D102
-        try:
-            yield
-        except (InvariantError, ConvergenceError, KeyboardInterrupt):  # on all ranks alike
-            raise
-        except BaseException:
-            ended = f"cicatrix: rank {self.rank} failed, so all {self.size} are ended"
-            print(
-                f"{traceback.format_exc()}{ended}", file=sys.stderr, flush=True
-            )  # at once: the launcher may lose what follows
-            self._comm.Abort(FAILED)
-
-    @contextmanager
-    def uninterrupted(self) -> Iterator[None]:  # noqa: D102
-        self._asked.clear()
-        if threading.current_thread() is not threading.main_thread():  # where Python delivers no signals
-            yield
-            return
-        kinds = (signal.SIGINT, signal.SIGTERM)
-        before = [signal.signal(kind, lambda *_: self._asked.set()) for kind in kinds]
-        try:
-            yield
-        finally:
-            for kind, handler in zip(kinds, before):
-                signal.signal(kind, handler)
-
-    @property
-    def is_interrupted(self) -> bool:  # noqa: D102
-        return self._asked.is_set()
-
-
-def speaks() -> bool:
-    """Whether this process is the one of all ranks that tells the user things; known before MPI is loaded."""
+def is_first_process() -> bool:
+    """Return whether this process is the rank that prints messages, from environment variables, without loading MPI."""
     return all(os.environ.get(name, "0") == "0" for name in RANKS)
 
 
 @cache
 def world() -> Ranks:
-    """Return the ranks this process belongs to.
+    """Return the group of ranks that this process belongs to.
 
     Raises
     ------
     InputError
-        If several were started and mpi4py is not there, cannot load an MPI library, or loads another one.
+        If several ranks were started, and mpi4py is missing or cannot load the MPI library to which ``mpiexec`` belongs.
     """
     sizes = [int(os.environ[name]) for name in SIZES if os.environ.get(name, "").isdecimal()]
     if max(sizes, default=1) == 1 and (sizes or PMIX not in os.environ):
@@ -162,6 +97,8 @@ def world() -> Ranks:
         _prefer_open_mpi()
     try:
         from mpi4py import MPI
+
+        from .mpi_ranks import MpiRanks
     except (ImportError, RuntimeError) as error:
         raise InputError(f"{started}, but mpi4py cannot be loaded ({error}): pip install 'cicatrix[mpi]'") from None
     comm = MPI.COMM_WORLD
@@ -173,8 +110,8 @@ def world() -> Ranks:
 
 
 def _prefer_open_mpi() -> None:
-    """Let mpi4py load the library of the mpiexec that started this process, where another one is installed, too."""
-    name = "libmpi.so.40"  # of Open MPI 4 and 5
+    """Make mpi4py load the MPI library of the mpiexec that started this process, even if another one is installed."""
+    name = "libmpi.so.40"  # Open MPI 4 and 5
     try:
         ctypes.CDLL(name)
     except OSError:

@@ -1,4 +1,4 @@
-"""Element matrices into the blocks of a sparse matrix: the twin of native/scatter.cpp."""
+"""Assembly of element matrices into a block-sparse matrix: NumPy reference implementation of native/scatter.cpp."""
 
 from __future__ import annotations
 
@@ -6,16 +6,16 @@ import numpy as np
 
 
 def add_blocks(data: np.ndarray, slots: np.ndarray, matrices: np.ndarray) -> None:
-    """Add element matrices to the blocks of a sparse matrix, element after element.
+    """Add element matrices to the blocks of a sparse matrix, in the order of the elements.
 
     Parameters
     ----------
     data : (n_blocks, b, b) array
-        Changed in place.
+        Blocks of the matrix; changed in place.
     slots : (n, a, a) int32 array
-        Block of each pair of an element's nodes; -1: left out.
+        Index in ``data`` of the block of each pair of nodes of an element; -1 if the pair is not assembled.
     matrices : (n, 3 a, 3 a) array
-        Element matrices; the first b of each node's three components are taken.
+        Element matrices; the first b of each node's three components are used.
     """
     n, a, _ = slots.shape
     b = data.shape[1]
@@ -27,18 +27,18 @@ def add_blocks(data: np.ndarray, slots: np.ndarray, matrices: np.ndarray) -> Non
 def turn_blocks(
     data: np.ndarray, starts: np.ndarray, columns: np.ndarray, left: np.ndarray, right: np.ndarray, chunk: int = 65536
 ) -> None:
-    """Multiply the blocks of a sparse matrix from both sides: block (i, j) becomes left_i block right_j.
+    """Multiply the blocks of a sparse matrix from both sides: block (i, j) becomes left_i block_ij right_j.
 
     Parameters
     ----------
     data : (n_blocks, b, b) array
-        Changed in place.
+        Blocks of the matrix; changed in place.
     starts, columns : (n + 1,), (n_blocks,) int32 arrays
-        Where each row begins, and the column of each block.
+        Start of each block row, and column of each block (CSR).
     left, right : (n, b, b) arrays
-        Factors of rows and columns.
+        Left factor of each block row and right factor of each block column.
     chunk : int
-        Blocks that are turned at a time.
+        Number of blocks multiplied at a time.
     """
     rows = np.repeat(np.arange(len(left)), np.diff(starts))
     for first in range(0, len(rows), chunk):
@@ -47,16 +47,16 @@ def turn_blocks(
 
 
 def contracted(slopes: np.ndarray, A: np.ndarray, columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Element matrices (n, 3 a, 3 a): the sum over points of B A B, and of columns times rows.
+    """Compute element matrices (n, 3 a, 3 a): sum over quadrature points of B^T A B, plus columns times rows.
 
     Parameters
     ----------
     slopes : (n, n_qp, a, d) array
-        B, gradients of the shape functions along d axes.
+        B: gradients of the shape functions along d axes.
     A : (n, n_qp, 3, d, 3, d) array
-        Tangent of each point, times its weight.
+        Tangent dP/dF at each point, times its quadrature weight.
     columns, rows : (n, m, 3 a) arrays
-        What is multiplied with each other.
+        Factors of m rank-one terms; their outer products are added.
     """
     n, _, a, _ = slopes.shape
     AB = np.einsum("eqiJkL,eqbL->eqiJbk", A, slopes, optimize=True)
@@ -67,5 +67,5 @@ def contracted(slopes: np.ndarray, A: np.ndarray, columns: np.ndarray, rows: np.
 def add_contracted(
     data: np.ndarray, slots: np.ndarray, slopes: np.ndarray, A: np.ndarray, columns: np.ndarray, rows: np.ndarray
 ) -> None:
-    """``add_blocks`` of ``contracted``; the compiled one sums in another order."""
+    """Compute element matrices by ``contracted`` and add them by ``add_blocks``; the compiled kernel sums in another order."""
     add_blocks(data, slots, contracted(slopes, A, columns, rows))

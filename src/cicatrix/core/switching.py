@@ -1,4 +1,4 @@
-"""Sites of two states that switch at random, step by step: the NumPy twin of the compiled kernel."""
+"""Random switching of two-state sites in fixed steps: NumPy reference implementation of the compiled kernel."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ def switch_states(
     phase: int,
     threads: int = 1,
 ) -> np.ndarray:
-    """States of sites after some steps, in each of which every site may switch once.
+    """Return the states of sites after a number of steps, in each of which every site may switch once.
 
     Parameters
     ----------
     state : (g, n) uint8 array
-        0 or 1 of n sites in each of g groups; not changed.
+        State 0 or 1 of n sites in each of g groups; not modified.
     up, down : (steps, g) uint64 array
-        Limits 0 to 2^32: in step s a site of group j that is 0 becomes 1 where its word is below ``up[s, j]``, one that is 1
-        becomes 0 where it is below ``down[s, j]``. So chances are multiples of 2^-32.
+        Thresholds from 0 to 2^32: in step s a site of group j switches from 0 to 1 if its random word is below ``up[s, j]``, and
+        from 1 to 0 if it is below ``down[s, j]``. Probabilities are therefore multiples of 2^-32.
     key : (2,) uint32 array
-        Key of the generator.
+        Key of the random number generator.
     first_step : int
-        Number of the first step, below 2^32 with those that follow.
+        Number of the first step; all step numbers are below 2^32.
     phase : int
-        What the draws are for.
+        Purpose of the draws (:class:`.random.Phase`).
     threads : int
-        Of the kernel; the answer does not depend on them.
+        Number of threads of the compiled kernel; the result does not depend on it.
 
     Returns
     -------
@@ -41,12 +41,12 @@ def switch_states(
     Raises
     ------
     ValueError
-        If the shapes do not go together.
+        If the shapes are inconsistent.
 
     Notes
     -----
-    Every site has its own word in every step: word ``i mod 4`` of the block with the counter (block, step, phase), where the
-    block is ``j ceil(n / 4) + i div 4`` in two words, for site i of group j.
+    Every site has its own random word in every step. Site i of group j uses word ``i mod 4`` of the four words drawn with the
+    counter (block, step, phase), where ``block = j ceil(n / 4) + i div 4`` takes two words of the counter.
     """
     state, up, down = np.array(state, np.uint8), np.asarray(up, np.uint64), np.asarray(down, np.uint64)
     groups, n = state.shape

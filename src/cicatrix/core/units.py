@@ -1,7 +1,7 @@
-"""The one place where units change: inside, everything is mm, kg, s, hence mN, kPa and uJ.
+"""Unit conversions. Internally all quantities are in mm, kg and s, hence mN, kPa and uJ; only this module converts.
 
-1 kPa = 1 mN/mm2 = 1 kg/(mm s2), and 1 mN mm = 1 uJ, so no factor appears in any formula. Time of healing is
-counted in days. Every function takes a number or an array and returns the same.
+1 kPa = 1 mN/mm2 = 1 kg/(mm s2), and 1 mN mm = 1 uJ, so no factor appears in any formula. Healing time is
+counted in days. Every function takes a number or an array and returns the same type.
 """
 
 from __future__ import annotations
@@ -97,16 +97,16 @@ def ml_from_mm3(volume_mm3: Value) -> Value:
 
 
 def kpa_from_pn_um2(stress_pn_um2: Value) -> Value:
-    """Stress of the cell scale, which counts in pN, um and s: [pN/um2] -> [kPa]."""
+    """Stress at the cell scale, where units are pN, um and s: [pN/um2] -> [kPa]."""
     return stress_pn_um2 * 1e-3
 
 
 def pn_um2_from_kpa(stress_kpa: Value) -> Value:
-    """Stress: [kPa] -> [pN/um2] of the cell scale."""
+    """Stress at the cell scale: [kPa] -> [pN/um2]."""
     return stress_kpa * 1e3
 
 
-INNER_PER_TYPED = {  # (typed in a case file, inside a law): how much of the second one of the first is
+UNIT_FACTORS = {  # (case-file unit, internal unit): factor that converts a value from the first to the second
     ("min", "s"): 60.0,
     ("h", "s"): 3600.0,
     ("d", "s"): 86_400.0,
@@ -120,6 +120,6 @@ INNER_PER_TYPED = {  # (typed in a case file, inside a law): how much of the sec
 }
 
 
-def inner_per_typed(typed: str, inner: str) -> float:
-    """How much of a law's own unit one of the unit typed for it in a case file is; 1 for equal units."""
-    return 1.0 if typed == inner else INNER_PER_TYPED[typed, inner]
+def unit_factor(typed: str, inner: str) -> float:
+    """Return the factor that converts a value from its case-file unit to the law's internal unit; 1 for equal units."""
+    return 1.0 if typed == inner else UNIT_FACTORS[typed, inner]

@@ -1,1 +1,1 @@
-"""Order of solves."""
+"""Coupling of mechanics and healing: the order of solves in each cycle."""

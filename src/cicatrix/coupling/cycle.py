@@ -1,271 +1,171 @@
-"""The healing cycle (Garbey et al., Fig. 3): loaded solve, energy to the lattice, healing, filled tissue, and again."""
+"""Healing cycle (Garbey et al., Fig. 3): solve for the loaded shape, heal at that deformation, update the tissue, repeat."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import ClassVar
+from typing import Any, Generic, final
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
 
-from ..geometry.transfer import SiteMap, linear_fit
-from ..healing.automaton import Automaton, AutomatonState
-from ..healing.continuum import Course
-from ..healing.model import Cue
-from ..materials.active import Contraction
-from ..materials.compose import Sum
-from ..materials.growth import NaturalConfiguration
-from ..materials.neo_hookean import NeoHookean
-from ..mechanics.body import Body, deformation_gradients
+from ..mechanics.body import Body
 from ..mechanics.equilibrium import Equilibrium
 from ..mechanics.extension import Extension
-from .deposition import Deposition
+from .cavity import Cavity
+from .healing import H, Healing, TissueState
+from .ruler import Ruler
 
-LEAST_FILLED = 0.05  # an element with less tissue than this share is out of the mechanics
-WELL_FILLED = 0.5  # an element with less is too soft, as a whole, to say what its cells feel
 
-
+@final
 @dataclass(frozen=True, eq=False)
-class Tissue:
-    """Elastic constants and density of a tissue at quadrature points; numbers or (n_elements, n_qp) arrays."""
-
-    mu: np.ndarray
-    """Shear modulus [kPa]."""
-    kappa: np.ndarray
-    """Bulk modulus [kPa]."""
-    density: np.ndarray
-    """Mass per reference volume [kg/mm^3]."""
-
-
-@dataclass(frozen=True, eq=False)
-class TissueState:
-    """Everything that changes: a checkpoint is this, a restart begins from it.
+class HealingCycle(Generic[H]):
+    """Healing cycle: the order of the solves, and all data that stay constant while a wound heals.
 
     Parameters
     ----------
-    cycle : int
-        Cycles done.
-    healing : AutomatonState
-        Cells.
-    filled : (n_elements,) array [1]
-        Share of each element that is tissue.
-    natural : (n_elements, n_qp, 3, 3) array [1]
-        Natural configuration of the tissue.
-    x : (n_nodes, 3) array [mm]
-        Loaded positions in the healing position, the open cavity moved along.
-    newton_iterations : int
-        Of the last solve.
-    W_ref : float [kPa]
-        Mean energy over the fresh wound edge.
-    closure_days : float [days]
-        When the last open site was filled; below 0 while the wound is open.
-    course : Course, optional
-        Of healing by fields.
-    """
-
-    cycle: int
-    healing: AutomatonState
-    filled: np.ndarray
-    natural: np.ndarray
-    x: np.ndarray
-    newton_iterations: int
-    W_ref: float = 0.0
-    closure_days: float = -1.0
-    course: Course | None = None
-
-    @property
-    def is_closed(self) -> bool:
-        """No open site is left."""
-        return self.closure_days >= 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class HealingCycle:
-    """What does not change while a wound heals.
-
-    Parameters
-    ----------
-    intact : Body
-        The body before surgery.
-    X : (n_nodes, 3) array [mm]
-        Its unloaded shape: the reference of mechanics and lattice alike.
+    cavity : Cavity
+        The body before surgery, and the part of it that surgery removes.
     x_intact : (n_nodes, 3) array [mm]
-        Its loaded shape in the healing position.
+        Loaded shape before surgery in the healing position.
     gravity : (3,) array [mm/s^2]
-        In the healing position, in the body's axes.
-    tissue, scar : Tissue
-        What is there before surgery, and what grows in the cavity.
-    cavity : (n_elements,) bool array
-        Elements taken out.
-    contraction : float [kPa]
-        Pull of new tissue.
-    automaton : Automaton
-        Healing model on the lattice of the unloaded reference.
-    sites : SiteMap
-        Element of each lattice site.
-    deposition : Deposition
-        Stress-free state of new tissue.
-    days_per_cycle, days_per_step : float [days]
-        Time between mechanical solves, and of one automaton step.
+        Gravity in the healing position, in the body's axes.
+    ruler : Ruler
+        Lattice that measures the wound.
+    healing : Healing
+        Model of wound healing.
     equilibrium : Equilibrium
         Mechanical solver.
+    days_per_cycle : float [days]
+        Time between mechanical solves.
     """
 
-    intact: Body
-    X: np.ndarray
+    cavity: Cavity
     x_intact: np.ndarray
     gravity: np.ndarray
-    tissue: Tissue
-    scar: Tissue
-    cavity: np.ndarray
-    contraction: float
-    automaton: Automaton
-    sites: SiteMap
-    deposition: Deposition
-    days_per_cycle: float
-    days_per_step: float
+    ruler: Ruler
+    healing: Healing[H]
     equilibrium: Equilibrium
-    closes: ClassVar[str] = "the automaton step that filled the last site"
+    days_per_cycle: float
 
-    def start(self) -> TissueState:
-        """The fresh wound: the cavity is open, the body has found its new shape.
+    @property
+    def intact(self) -> Body:
+        """The body before surgery."""
+        return self.cavity.intact
 
-        Raises
-        ------
-        ConvergenceError
-            If no equilibrium is found.
-        """
-        fresh = self._equilibrated(self.unhealed(self.x_intact), self.x_intact)
-        return replace(fresh, W_ref=self.edge_energy(fresh))
+    @property
+    def X(self) -> np.ndarray:
+        """Unloaded shape, the reference of the mechanics and of the lattice (n_nodes, 3) [mm]."""
+        return self.cavity.X
 
-    def unhealed(self, x: np.ndarray) -> TissueState:
-        """The open cavity in a given shape x (n_nodes, 3) [mm]."""
-        healing = self.automaton.initial_state()
-        space = self.intact.frame.space
-        natural = np.broadcast_to(np.eye(3), (space.n_elements, space.table.weight.size, 3, 3))
-        return TissueState(0, healing, self.filled(healing), natural, x, 0)
-
-    def step(self, state: TissueState) -> TissueState:
-        """One cycle: the cells heal under the present energy, then the body finds its shape with what they filled.
-
-        Raises
-        ------
-        ConvergenceError
-            If no equilibrium is found.
-        """
-        cue = Cue(self.energy_at_sites(state).reshape(self.automaton.lattice.shape), state.W_ref or 1.0)
-        healing, closure_days = self._heal(state, cue)
-        filled = self.filled(healing)
-        natural = self.deposition.natural(state.natural, state.filled, filled, self.felt_deformation(state.x))
-        new = TissueState(state.cycle + 1, healing, filled, natural, state.x, 0, state.W_ref, closure_days)
-        return self._equilibrated(new, state.x)
-
-    def is_over(self, state: TissueState) -> bool:
-        """Whether nothing happens any more."""
-        return state.is_closed
-
-    def measured(self, state: TissueState) -> dict[str, float]:
-        """Numbers that only this kind of healing has, by name."""
-        return {}
-
-    def shown(self, state: TissueState) -> dict[str, np.ndarray]:
-        """What elements hold (n_elements,), by name."""
-        return {"filled_fraction": state.filled}
-
-    def felt_deformation(self, x: np.ndarray) -> np.ndarray:
-        """F that tissue feels, its volume ratio linear in each element: x (n_nodes, 3) [mm] -> (n_elements, n_qp, 3, 3)."""
-        F = deformation_gradients(self.intact.frame.space, self.X, x)
-        return np.cbrt(self.intact.dilation(self.X, x) / np.linalg.det(F))[..., None, None] * F
-
-    def _heal(self, state: TissueState, cue: Cue) -> tuple[AutomatonState, float]:
-        healing, closure_days = state.healing, state.closure_days
-        last = int(np.floor(self.days(state.cycle + 1) / self.days_per_step + 1e-9))
-        while healing.step < last:
-            healing = self.automaton.advance(healing, cue)
-            if closure_days < 0.0 and not self.open_sites(healing).any():
-                closure_days = healing.step * self.days_per_step
-        return healing, closure_days
-
-    def _equilibrated(self, state: TissueState, start: np.ndarray) -> TissueState:
-        body = self.body(state)
-        x, report = self.equilibrium.loaded(body, self.X, self.gravity, start)
-        return replace(state, x=self.extension.fill(x, body.fraction), newton_iterations=report.iterations)
+    @cached_property
+    def opened(self) -> Body:
+        """The body with the open cavity."""
+        return self.cavity.body(self.ruler.filled(self.ruler.fresh), self.cavity.unstrained)
 
     @cached_property
     def extension(self) -> Extension:
-        """Continuation of displacements into the open cavity."""
-        return Extension(self.intact.frame, self.X)
+        """Extension of the displacements into the open cavity."""
+        return Extension(self.intact.discretization, self.X)
+
+    def start(self) -> TissueState[H]:
+        """Open the cavity, find the body's new shape, and return the state right after surgery.
+
+        Raises
+        ------
+        ConvergenceError
+            If no equilibrium is found.
+        """
+        x, iterations = self._loaded(self.opened, self.x_intact)
+        fresh = self.ruler.fresh
+        W_ref = self.ruler.edge_energy(self.opened, self.X, x, self.ruler.filled(fresh), fresh)
+        state = TissueState(0, self.healing.fresh(x, self.x_intact), x, iterations, W_ref)
+        if not (self.body(state).fraction > self.opened.fraction).any():
+            return state
+        return self._equilibrated(replace(state, newton_iterations=0))
+
+    def step(self, state: TissueState[H]) -> TissueState[H]:
+        """Heal over one cycle, then find the shape of the body with its new tissue.
+
+        Raises
+        ------
+        ConvergenceError
+            If the model of wound healing finds no solution, or the body no equilibrium.
+        """
+        done = self.healing.advance(state, self.days(state.cycle + 1))
+        x = state.x if done.x is None else done.x
+        new = TissueState(state.cycle + 1, done.healing, x, done.iterations, state.W_ref, done.closure_days)
+        return self._equilibrated(new) if done.x is None else new
+
+    def is_over(self, state: TissueState[H]) -> bool:
+        """Check whether the simulation of healing is complete."""
+        return self.healing.is_over(state)
+
+    def _equilibrated(self, state: TissueState[H]) -> TissueState[H]:
+        """Return the state with the equilibrium shape of its tissue; Newton's method starts from the shape in the given state."""
+        x, iterations = self._loaded(self.body(state), state.x)
+        return replace(state, x=x, newton_iterations=state.newton_iterations + iterations)
+
+    def _loaded(self, body: Body, start: np.ndarray) -> tuple[np.ndarray, int]:
+        """Return a body's loaded shape in the healing position (n_nodes, 3) [mm], and the number of Newton iterations."""
+        x, report = self.equilibrium.loaded(body, self.X, self.gravity, start)
+        return self.extension.fill(x, body.fraction), report.iterations
 
     def days(self, cycle: int) -> float:
-        """Time after so many cycles [days]."""
+        """Return the time at the end of a cycle [days]."""
         return cycle * self.days_per_cycle
 
-    def body(self, state: TissueState) -> Body:
-        """The body as it is: elements with hardly any tissue are out, the others count by the share that is filled.
+    def body(self, state: TissueState[H]) -> Body:
+        """Return the body with its present tissue."""
+        return self.healing.body(state.healing)
 
-        An element that hangs on the rest by a corner only would swing freely, so it waits until a side is held.
-        """
-        fraction = np.where(self._held(state.filled >= LEAST_FILLED), state.filled, 0.0)
-        is_new = self.cavity[:, None]
-        elastic = NeoHookean(
-            np.where(is_new, self.scar.mu, self.tissue.mu), np.where(is_new, self.scar.kappa, self.tissue.kappa)
+    def occupancy(self, state: TissueState[H]) -> np.ndarray:
+        """Return the sites that are filled with tissue: bool array of the lattice's shape."""
+        return self.healing.occupancy(state.healing)
+
+    def open_sites(self, state: TissueState[H]) -> np.ndarray:
+        """Return the sites that are not filled yet: bool array of the lattice's shape."""
+        return self.ruler.open_sites(self.occupancy(state))
+
+    def filled(self, state: TissueState[H]) -> np.ndarray:
+        """Return the fraction of each element that is tissue (n_elements,) [1]."""
+        return self.healing.filled(state.healing)
+
+    def edge_energy(self, state: TissueState[H]) -> float:
+        """Return the mean strain energy density over the edge of the open wound [kPa]; 0 when the wound is closed."""
+        return self.ruler.edge_energy(self.body(state), self.X, state.x, self.filled(state), self.occupancy(state))
+
+    def shown(self, state: TissueState[H]) -> dict[str, np.ndarray]:
+        """Return the fields for the result files, by name: arrays (n_elements,)."""
+        return {"filled_fraction": self.filled(state), **self.healing.shown(state.healing)}
+
+    def pack(self, state: TissueState[H]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+        """Return a state as named arrays, and scalars that JSON can store."""
+        arrays, scalars = self.healing.pack(state.healing)
+        return {"x": state.x} | {f"healing.{name}": array for name, array in arrays.items()}, {
+            "cycle": state.cycle,
+            "newton_iterations": state.newton_iterations,
+            "W_ref": state.W_ref,
+            "closure_days": state.closure_days,
+            "healing": scalars,
+        }
+
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> TissueState[H]:
+        """Return the state that ``pack`` stored, to the bit."""
+        prefix = "healing."
+        own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+        return TissueState(
+            scalars["cycle"],
+            self.healing.unpack(own, scalars["healing"]),
+            arrays["x"],
+            scalars["newton_iterations"],
+            scalars["W_ref"],
+            scalars["closure_days"],
         )
-        law = tissue_law(elastic, np.where(is_new, self.contraction, 0.0) * np.ones_like(self.tissue.mu), state.natural)
-        return self.intact.with_tissue(law, np.where(is_new, self.scar.density, self.tissue.density), fraction)
-
-    def _held(self, chosen: np.ndarray) -> np.ndarray:
-        """Chosen elements that are joined side by side to tissue that was there before (n_elements,) bool."""
-        inner, outer = self.intact.frame.space.neighbours
-        sides = chosen[inner] & chosen[outer]
-        n = chosen.size
-        graph = sp.coo_array((np.ones(np.count_nonzero(sides)), (inner[sides], outer[sides])), shape=(n, n))
-        _, part = connected_components(graph, directed=False)
-        return chosen & np.isin(part, part[~self.cavity & chosen])
-
-    def open_sites(self, healing: AutomatonState) -> np.ndarray:
-        """Sites that wait for a cell: bool array of the lattice's shape."""
-        return self.automaton.fillable & ~healing.occupancy
-
-    def filled(self, healing: AutomatonState) -> np.ndarray:
-        """Share of each element that cells fill (n_elements,) [1]: every site counts in exactly one element."""
-        total = self.sites.count(self.automaton.fillable.ravel())
-        return 1.0 - self.sites.count(self.open_sites(healing).ravel()) / np.maximum(total, 1)
-
-    def energy_at_sites(self, state: TissueState) -> np.ndarray:
-        """Strain energy density of the tissue at every lattice site (n_sites,) [kPa], mapped back onto the reference.
-
-        Cells at the front feel the tissue they sit on: where an element is not well filled, the nearest that is counts.
-        The tissue of a thinly filled element lies along its wall, but as a mixture it is strained like a void.
-        """
-        body, space = self.body(state), self.intact.frame.space
-        coefficients = linear_fit(body.energy_density(self.X, state.x), body.volumes(self.X), space.table.points)
-        held = (body.fraction >= WELL_FILLED) & (state.filled >= WELL_FILLED)
-        centres = self.X[space.element_nodes[:, : space.n_axes + 1], : space.n_axes].mean(axis=1)
-        nearest = np.flatnonzero(held)[cKDTree(centres[held]).query(centres[~held])[1]]
-        coefficients[~held] = coefficients[nearest] * np.eye(1, space.n_axes + 1)
-        return np.maximum(self.sites.evaluate(coefficients), 0.0)
-
-    def edge_energy(self, state: TissueState) -> float:
-        """Mean energy density over the sites that border the open wound [kPa]; 0 when it is closed."""
-        edge = self.edge_sites(state.healing).ravel()
-        return float(self.energy_at_sites(state)[edge].mean()) if edge.any() else 0.0
-
-    def edge_sites(self, healing: AutomatonState) -> np.ndarray:
-        """Cells with an open neighbour: bool array of the lattice's shape."""
-        return self.automaton.lattice.beside(self.open_sites(healing)) & healing.occupancy
 
 
-def tissue_law(elastic: NeoHookean, contraction: np.ndarray, natural: np.ndarray) -> NaturalConfiguration:
-    """The law of all tissue in a lumpectomy, old and new; one form, so that nothing recompiles as tissue grows."""
-    return NaturalConfiguration(Sum((elastic, Contraction(contraction))), natural)
-
-
-def run(cycle: HealingCycle, state: TissueState, last_cycle: int) -> Iterator[TissueState]:
-    """The one time loop: yield the state after each cycle until healing is over or the last cycle is done."""
+def run(cycle: HealingCycle[H], state: TissueState[H], last_cycle: int) -> Iterator[TissueState[H]]:
+    """Run cycles from a given state; yield the state after each cycle until healing is over or ``last_cycle`` is done."""
     while state.cycle < last_cycle and not cycle.is_over(state):
         state = cycle.step(state)
         yield state

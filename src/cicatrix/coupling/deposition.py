@@ -1,4 +1,4 @@
-"""How new tissue is laid down: in which state it is free of stress."""
+"""Deposition of new tissue: the configuration in which it is free of stress."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ class Deposition:
     Parameters
     ----------
     loaded : bool
-        False: new tissue is stress-free in the unloaded reference (Garbey et al., section 3). True: it is stress-free as
-        it is laid down, in the loaded body, with a deposition stretch (Guo, Mofrad & Buganza Tepole, Eq. 11); this is what
-        lets a scar hold the shape it was born in.
+        False: new tissue is stress-free in the unloaded reference (Garbey et al., section 3). True: it is deposited in the
+        loaded body with the in-plane stretch ``prestretch`` (Guo, Mofrad & Buganza Tepole, Eq. 11), so that a scar tends to
+        retain the shape in which it formed.
     prestretch : float [1]
-        In-plane stretch g of new tissue at deposition, G = diag(g, g, 1/g^2); 1 is none. Only for ``loaded``.
+        In-plane stretch g of new tissue at deposition, G = diag(g, g, 1/g^2); 1: stress-free. Used only if ``loaded``.
     """
 
     loaded: bool
     prestretch: float = 1.0
 
     def natural(self, old: np.ndarray, filled_before: np.ndarray, filled: np.ndarray, F: np.ndarray) -> np.ndarray:
-        """Natural configuration after a deposit, the mean over what an element holds, by mass.
+        """Return the natural configuration after deposition: the mean of existing and new tissue in each element, by mass.
 
-        old, F (n_elements, n_qp, 3, 3) [1], filled_before, filled (n_elements,) [1] -> (n_elements, n_qp, 3, 3).
-        An element is a homogenised mixture of what was laid down in it at different times; cells that come back into
-        an element lay down nothing new.
+        Natural configuration ``old`` before, deformation gradient F (n_elements, n_qp, 3, 3) [1]; filled fractions before and
+        after (n_elements,) [1] -> (n_elements, n_qp, 3, 3).
+        An element is a homogenised mixture of tissue deposited at different times. An element whose filled fraction
+        does not increase receives no new tissue.
         """
         if not self.loaded:
             return old

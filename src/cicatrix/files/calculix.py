@@ -1,4 +1,4 @@
-"""A body as an input file of CalculiX, the open solver that mechanics is compared with."""
+"""Write input files for CalculiX, an open-source finite-element solver with which the mechanics is verified; read its results."""
 
 from __future__ import annotations
 
@@ -8,21 +8,20 @@ from ..mechanics.body import Body
 
 
 def calculix_deck(body: Body, gravity: np.ndarray, first: float = 1.0) -> str:
-    """Write a solid of neo-Hookean tissue and its gravity as one static step of CalculiX.
+    """Write the input file of a static CalculiX step: a solid of neo-Hookean tissue under gravity.
 
-    Its law is C10 (I1_bar - 3) + (J - 1)^2 / D1 with C10 = mu / 2 and D1 = 2 / kappa (CalculiX manual, *HYPERELASTIC), its
-    element C3D10 the quadratic tetrahedron with four points.
+    The law is C10 (I1_bar - 3) + (J - 1)^2 / D1 with C10 = mu / 2 and D1 = 2 / kappa (CalculiX manual, *HYPERELASTIC); the
+    element C3D10 is the quadratic tetrahedron with four quadrature points.
 
     Parameters
     ----------
     body : Body
-        Of tetrahedra without skin; mu, kappa and density are constant in each element.
-    gravity : (3,) array [mm/s^2]
-        Acceleration.
+        Body of tetrahedra without skin; mu, kappa and density are constant in each element.
+    gravity : (3,) array [mm/s^2] Gravitational acceleration.
     first : float [1]
-        Share of the load to try first; CalculiX cuts it where that does not converge, and goes on as it sees fit.
+        First load increment, as a fraction of the load; CalculiX reduces it if it does not converge, and chooses the next ones.
     """
-    space = body.frame.space
+    space = body.discretization.space
     law = np.stack([np.broadcast_to(v, body.density.shape)[:, 0] for v in (body.law.mu, body.law.kappa, body.density)])
     kinds, kind = np.unique(law, axis=1, return_inverse=True)
     lines = ["*NODE, NSET=ALL"]
@@ -32,7 +31,7 @@ def calculix_deck(body: Body, gravity: np.ndarray, first: float = 1.0) -> str:
         lines += [", ".join(map(str, (i + 1, *space.element_nodes[i] + 1))) for i in np.flatnonzero(kind.ravel() == k)]
         lines += [f"*MATERIAL, NAME=M{k}", "*HYPERELASTIC, NEO HOOKE", f"{mu / 2:.12e}, {2 / kappa:.12e}"]
         lines += ["*DENSITY", f"{density:.6e}", f"*SOLID SECTION, ELSET=E{k}, MATERIAL=M{k}"]
-    lines += ["*NSET, NSET=HELD", *(f"{i + 1}," for i in body.frame.fixed_nodes), "*BOUNDARY", "HELD, 1, 3"]
+    lines += ["*NSET, NSET=HELD", *(f"{i + 1}," for i in body.discretization.fixed_nodes), "*BOUNDARY", "HELD, 1, 3"]
     lines += [
         "*STEP, NLGEOM, INC=1000",
         "*STATIC",
@@ -47,13 +46,13 @@ def calculix_deck(body: Body, gravity: np.ndarray, first: float = 1.0) -> str:
     return "\n".join([*lines, "*NODE PRINT, NSET=ALL", "U", "*END STEP", ""])
 
 
-HEADING = "for set ALL and time"  # then the share of the load, and a row for each node
+HEADING = "for set ALL and time"  # followed by the fraction of the load, and a row for each node
 
 
 def calculix_displacements(text: str, n_nodes: int) -> np.ndarray:
-    """Displacements (n_nodes, 3) [mm] under the whole load, of what CalculiX printed; (0, 3) where it did not get there.
+    """Read displacements (n_nodes, 3) [mm] under the whole load from CalculiX's output; (0, 3) if it did not reach that load.
 
-    It prints each increment that it takes when the whole load at once does not converge.
+    The output has a block for each load increment; the last block is read.
     """
     time, *lines = text.rpartition(HEADING)[2].splitlines() or ["0"]
     rows = [[float(value) for value in line.split()[1:]] for line in lines if line.strip()]

@@ -1,16 +1,21 @@
-"""Which files of a folder form its DICOM series, in which order; headers are looked at here and never handed on."""
+"""Find and sort the files of a DICOM series; their headers, which may identify a patient, are not passed on."""
 
 from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pydicom
-from pydicom.errors import InvalidDicomError
 
+from ..core.deferred import Deferred
 from ..core.errors import InputError
+
+if TYPE_CHECKING:
+    import pydicom
+else:
+    pydicom = Deferred("pydicom")  # most runs read no DICOM
 
 TAGS = [
     "SeriesInstanceUID",
@@ -20,24 +25,24 @@ TAGS = [
     "PixelSpacing",
     "Rows",
 ]
-GAP_TOLERANCE = 0.02  # gaps between slices may differ by this part of their median
+GAP_TOLERANCE = 0.02  # largest difference between gaps of slices, relative to their median
 
 
 @dataclass(frozen=True)
 class Slice:
-    """A file of a series and where it lies along the series' normal [mm]."""
+    """A file of a series, and the position of its slice along the normal [mm]."""
 
     path: Path
     position_mm: float
 
 
 def series_files(folder: Path) -> list[Path]:
-    """Files of the one DICOM series in ``folder`` (not its sub-folders), in the order of their positions.
+    """Return the files of the one DICOM series in ``folder`` (not its sub-folders), in the order of their positions.
 
     Raises
     ------
     InputError
-        No DICOM file, more than one series, slices without a position, twice at one place, or missing.
+        If there is no DICOM file or more than one series, or slices have no position, share a position or are missing.
     """
     series: dict[str, list[tuple[Path, pydicom.Dataset]]] = {}
     for path in sorted(p for p in folder.iterdir() if p.is_file()):
@@ -45,27 +50,27 @@ def series_files(folder: Path) -> list[Path]:
         if header is not None and "Rows" in header:
             series.setdefault(str(header.get("SeriesInstanceUID", "")), []).append((path, header))
     if not series:
-        raise InputError(f"{folder.name}: the folder holds no DICOM image; give the one whose files are the slices.")
+        raise InputError(f"{folder.name}: the folder has no DICOM image; give the one whose files are the slices.")
     if len(series) > 1:
         counts = ", ".join(str(len(s)) for s in series.values())
         raise InputError(
-            f"{folder.name}: the folder holds {len(series)} DICOM series ({counts} files); keep one series per folder."
+            f"{folder.name}: the folder has {len(series)} DICOM series ({counts} files); keep one series per folder."
         )
     return _ordered(next(iter(series.values())), folder.name)
 
 
 def _header(path: Path) -> pydicom.Dataset | None:
-    """Read the few tags needed, or None if the file is not DICOM."""
+    """Read the header tags that are needed; return None if the file is not DICOM."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             return pydicom.dcmread(path, stop_before_pixels=True, specific_tags=TAGS)
-    except (InvalidDicomError, OSError, EOFError, ValueError, AttributeError, KeyError):
+    except (pydicom.errors.InvalidDicomError, OSError, EOFError, ValueError, AttributeError, KeyError):
         return None
 
 
 def _ordered(files: list[tuple[Path, pydicom.Dataset]], name: str) -> list[Path]:
-    """Sort slices along the normal and check that they are evenly spaced."""
+    """Sort slices along their normal; raise an error that names the folder (``name``) if they are not evenly spaced."""
     try:
         slices = sorted((_slice(path, header) for path, header in files), key=lambda s: s.position_mm)
     except (AttributeError, TypeError, ValueError):
@@ -78,17 +83,17 @@ def _ordered(files: list[tuple[Path, pydicom.Dataset]], name: str) -> list[Path]
         )
     gaps = np.diff([s.position_mm for s in slices])
     if gaps.min() < 1e-3:
-        raise InputError(f"{name}: two DICOM slices lie at the same place; keep one time point or echo in the folder.")
+        raise InputError(f"{name}: two DICOM slices have the same position; keep one time point or echo in the folder.")
     if np.ptp(gaps) > GAP_TOLERANCE * np.median(gaps):
         raise InputError(
-            f"{name}: the gaps between DICOM slices run from {gaps.min():.2f} to {gaps.max():.2f} mm; "
+            f"{name}: the gaps between DICOM slices range from {gaps.min():.2f} to {gaps.max():.2f} mm; "
             "slices are missing, export the whole series."
         )
     return [s.path for s in slices]
 
 
 def _slice(path: Path, header: pydicom.Dataset) -> Slice:
-    """Position along the normal of the slice."""
+    """Compute the position of a slice along its normal."""
     row, column = np.asarray(header.ImageOrientationPatient, float).reshape(2, 3)
     position = float(np.cross(row, column) @ np.asarray(header.ImagePositionPatient, float))
     return Slice(path, position)

@@ -16,34 +16,34 @@ from ..healing.transport import Transport
 MAPS = {"cells": "viridis", "cytokine": "magma", "collagen": "cividis", "permanent stretch": "coolwarm"}
 
 
-VIEW_MM = 25.0  # half of the side of a sheet's picture
+VIEW_MM = 25.0  # half width of the region of a sheet that is drawn
 
 
 class View(NamedTuple):
-    """How fields are shown: a body of two dimensions as it is, of a solid the plane where one axis is constant."""
+    """Plane and limits of a map of fields: the plane of a sheet, or a plane normal to one axis of a solid."""
 
     labels: tuple[str, str]
     axis: int = 2
     at_mm: float = 0.0
     window: np.ndarray | None = None
-    """Lower and upper corner (2, 2) [mm]; all there is without."""
+    """Lower and upper corner of the region that is drawn (2, 2) [mm]; None draws the whole body."""
     is_downward: bool = False
     """Whether the vertical axis points down."""
 
 
 def fields_figure(transport: Transport, state: WoundState, x: np.ndarray, days: float, view: View) -> Figure:
-    """Cells, cytokine, collagen and permanent stretch on the body at positions x (n_nodes, 3) [mm]."""
+    """Draw maps of cells, cytokine, collagen and permanent stretch on the body deformed to node positions x (n_nodes, 3) [mm]."""
     values = {
         "cells": state.fields[:, 0],
         "cytokine": state.fields[:, 1],
-        "collagen": transport.at_carriers(state.local.phi),
-        "permanent stretch": transport.at_carriers(np.prod(state.local.stretch, axis=-1)),
+        "collagen": transport.at_vertices(state.local.phi),
+        "permanent stretch": transport.at_vertices(np.prod(state.local.stretch, axis=-1)),
     }
     figure = Figure(figsize=(15, 4.0), layout="constrained")
     figure.suptitle(f"after {days:.4g} days, on the deformed body", fontsize=11)
     for ax, (name, field) in zip(figure.subplots(1, 4), values.items()):
-        polygons, shown = _polygons(x[transport.carriers], transport, field, view)
-        norm = CenteredNorm(1.0) if name == "permanent stretch" else None  # white is none
+        polygons, shown = _polygons(x[transport.vertex_nodes], transport, field, view)
+        norm = CenteredNorm(1.0) if name == "permanent stretch" else None  # white: no permanent stretch
         drawn = PolyCollection(
             list(polygons), array=shown, cmap=MAPS[name], norm=norm, edgecolors="face", linewidths=0.2
         )
@@ -64,17 +64,17 @@ def fields_figure(transport: Transport, state: WoundState, x: np.ndarray, days: 
 
 
 def _polygons(x: np.ndarray, transport: Transport, field: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray]:
-    """Polygons (n, a, 2) [mm] and the field's mean in each of these (n,)."""
-    cells = transport.cells
+    """Return polygons (n, a, 2) [mm] and the mean of the field in each (n,)."""
+    vertices = transport.element_vertices
     if transport.space.n_axes == 2:
-        return _parts(x[cells][..., :2], field[cells])
-    polygons, owner = plane_cut(x, cells, view.axis, view.at_mm)
+        return _parts(x[vertices][..., :2], field[vertices])
+    polygons, owner = plane_cut(x, vertices, view.axis, view.at_mm)
     kept = [k for k in range(3) if k != view.axis]
-    return polygons[..., kept], field[cells[owner]].mean(axis=1)
+    return polygons[..., kept], field[vertices[owner]].mean(axis=1)
 
 
 def _parts(corners: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Elements of the plane (n, a, 2), each cut into one part for each corner, and the field's value in each part."""
+    """Split plane elements (n, a, 2) into one polygon for each corner; return the polygons and the field's value in each."""
     pieces, shown = [], []
     for k in range(corners.shape[1]):
         ring = [np.roll(part, -k, axis=1) for part in (corners, values)]

@@ -1,4 +1,4 @@
-"""Pictures of a segmentation: slices of the image with the outlines of its labels."""
+"""Figure of a segmentation: slices of the image with the outlines of its labels."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from matplotlib.figure import Figure
 from ..geometry.labels import Label
 from ..geometry.volume import Volume
 
-# Okabe-Ito colours, told apart by colour-blind readers too
+# Okabe-Ito colours, which are safe for colour-blind readers
 COLOURS = {Label.GLAND: "#E69F00", Label.SKIN: "#56B4E9", Label.TUMOUR: "#D55E00", Label.CHEST: "#009E73"}
 N_AXIAL = 5
 
 
 def draw_preview(path: str | Path, image: Volume, labels: Volume) -> None:
-    """Five axial slices and one sagittal slice through the breast, axes in mm: both volumes (nz, ny, nx) -> PNG."""
+    """Draw five axial slices and one sagittal slice of the breast into a PNG file, axes in mm: volumes (nz, ny, nx)."""
     breast = (labels.values > Label.AIR) & (labels.values < Label.CHEST)
     figure = Figure(figsize=(15, 8), layout="constrained")
     FigureCanvasAgg(figure)
@@ -33,7 +33,7 @@ def draw_preview(path: str | Path, image: Volume, labels: Volume) -> None:
 
 
 def _panel(axes, image: Volume, labels: Volume, axis: int, index: int) -> None:
-    """One slice, axial (axis 0) or sagittal (axis 2), with the outline of each label."""
+    """Draw one slice, axial (axis 0) or sagittal (axis 2), with the outline of each label."""
     values, tissue = image.values.take(index, axis), labels.values.take(index, axis)
     horizontal, vertical = ("x", "y") if axis == 0 else ("y", "z")
     h, v = (_edges(image, "xyz".index(name)) for name in (horizontal, vertical))
@@ -51,6 +51,6 @@ def _panel(axes, image: Volume, labels: Volume, axis: int, index: int) -> None:
 
 
 def _edges(volume: Volume, xyz: int) -> np.ndarray:
-    """Voxel edges along x, y or z [mm]."""
+    """Return the positions of voxel edges along x, y or z [mm]."""
     n = volume.shape[2 - xyz]
     return volume.origin_mm[xyz] + (np.arange(n + 1) - 0.5) * volume.spacing_mm[xyz]

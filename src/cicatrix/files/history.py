@@ -1,4 +1,4 @@
-"""history.csv: one row per cycle or step, counted by its first column; on disk at once, reproducible to the byte."""
+"""Write and read history.csv: one numbered row per cycle or step, flushed as it is recorded; equal runs give equal bytes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .atomic import write_bytes
 
 
 class History:
-    """Writes the rows of a run; the first row's names are the columns.
+    """Writer of the rows of a run; the names of the first row are the columns.
 
     Parameters
     ----------
@@ -29,12 +29,12 @@ class History:
         self._stream: TextIO | None = None
 
     def record(self, row: Mapping[str, Any]) -> None:
-        """Append a row and hand it to the operating system.
+        """Append a row to the file, and flush it to the operating system.
 
         Parameters
         ----------
         row : mapping of str to number
-            The first counts the rows (``cycle``, ``step``); floats are written so that they read back exactly.
+            Values by column; the first column numbers the row (``cycle``, ``step``). Floats are written exactly.
 
         Raises
         ------
@@ -48,7 +48,7 @@ class History:
         self._write([_text(value) for value in row.values()])
 
     def cut_after(self, last: int) -> None:
-        """Drop the rows after a number of the first column, and a last row that was not written to its end."""
+        """Remove the rows whose first column is above ``last``, and an incomplete last row."""
         if not self._columns:
             self.path.unlink(missing_ok=True)
             return
@@ -58,7 +58,7 @@ class History:
         write_bytes(self.path, "".join([head, *kept]).encode())
 
     def sync(self) -> None:
-        """Force what was recorded to disk."""
+        """Write the recorded rows from the operating system's buffers to the disk."""
         if self._stream is not None:
             os.fsync(self._stream.fileno())
 
@@ -92,7 +92,7 @@ def read_history(path: Path) -> dict[str, np.ndarray]:
 
 
 def table_text(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
-    """A table as CSV: floats are written so that they read back exactly."""
+    """Return a table as CSV text; floats are written so that they are read back exactly."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(head)

@@ -1,4 +1,4 @@
-"""Images in and out: files and DICOM folders become axis-aligned LPS volumes; only voxels and geometry pass."""
+"""Reading and writing of images as axis-aligned LPS volumes; only voxels and geometry are passed on, no patient data."""
 
 from __future__ import annotations
 
@@ -8,16 +8,22 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
 
+from ..core.deferred import Deferred
 from ..core.errors import InputError
 from ..geometry.labels import Label
 from ..geometry.volume import Volume
 from .dicom import series_files
 from .nifti import check_nifti
 from .pictures import steps_to
+
+if TYPE_CHECKING:
+    import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
+else:
+    sitk = Deferred("SimpleITK")  # most runs read no image
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 KNOWN = "NIfTI (.nii, .nii.gz), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a folder with one DICOM series"
@@ -27,12 +33,12 @@ TILT_TOLERANCE = 1e-4  # direction cosines this close to the axes count as align
 def read_image(path: str | Path) -> Volume:
     """Read a scalar 3-D image in any orientation onto an axis-aligned LPS grid.
 
-    Permuted and flipped axes are only re-ordered; a truly oblique image is resampled linearly at its own spacing.
+    Permuted and flipped axes are only re-ordered; an oblique image is resampled linearly at its own spacing.
 
     Parameters
     ----------
     path : str or Path
-        A NIfTI, NRRD or MetaImage file, or a folder that holds one DICOM series.
+        A NIfTI, NRRD or MetaImage file, or a folder with one DICOM series.
 
     Returns
     -------
@@ -42,20 +48,21 @@ def read_image(path: str | Path) -> Volume:
     Raises
     ------
     InputError
-        Missing, truncated or foreign file, no or several DICOM series, not 3-D, a single slice, NaN or infinite voxels.
+        If the file is missing, truncated or of another format, there is not exactly one DICOM series, or the image is not 3-D, a
+        single slice, or has NaN or infinite voxels.
     """
     image = _checked(_read(Path(path)), Path(path).name)
     image = _axis_aligned(sitk.Cast(image, sitk.sitkFloat32), sitk.sitkLinear)
     return _volume(image)
 
 
-def read_thinned(path: str | Path, most_voxels: int) -> tuple[Volume, str]:
-    """Read an image of any size: of one with more voxels than ``most_voxels`` every second, third, ... is kept.
+def read_thinned(path: str | Path, max_voxels: int) -> tuple[Volume, str]:
+    """Read an image, and keep only every second, third, ... voxel if it has more than ``max_voxels``.
 
     Returns
     -------
     Volume, str
-        As :func:`read_image`, and a sentence on what was left out; empty if nothing was.
+        The image as :func:`read_image` returns it, and a sentence on the voxels left out; empty if none are.
 
     Raises
     ------
@@ -65,7 +72,7 @@ def read_thinned(path: str | Path, most_voxels: int) -> tuple[Volume, str]:
     image = _checked(_read(Path(path)), Path(path).name)
     nx, ny, nz = image.GetSize()
     sx, sy, sz = image.GetSpacing()
-    kz, ky, kx = steps_to((nz, ny, nx), (sx, sy, sz), most_voxels)
+    kz, ky, kx = steps_to((nz, ny, nx), (sx, sy, sz), max_voxels)
     image = image[::kx, ::ky, ::kz]
     kept = "x".join(str(n) for n in image.GetSize())
     words = f"The image has {nx}x{ny}x{nz} voxels; {kept} of them are used."
@@ -84,7 +91,7 @@ def read_labels(path: str | Path) -> Volume:
     Raises
     ------
     InputError
-        As `read_image`, or labels other than whole numbers 0 to 5, or no voxel of the breast (1 to 4).
+        As :func:`read_image`, or if there are labels other than whole numbers 0 to 5, or no voxel of the breast (1 to 4).
     """
     name = Path(path).name
     image = _checked(_read(Path(path)), name)
@@ -93,7 +100,7 @@ def read_labels(path: str | Path) -> Volume:
     if strange:
         shown = ", ".join(f"{v:g}" for v in strange[:3])
         raise InputError(
-            f"{name}: a label map holds only 0 air, 1 fat, 2 gland, 3 skin, 4 tumour and 5 chest; it also has {shown}."
+            f"{name}: a label map has only 0 air, 1 fat, 2 gland, 3 skin, 4 tumour and 5 chest; this one also has {shown}."
         )
     if not ((values > Label.AIR) & (values < Label.CHEST)).any():
         raise InputError(f"{name}: the label map has no voxel of the breast (1 fat, 2 gland, 3 skin, 4 tumour).")
@@ -101,7 +108,7 @@ def read_labels(path: str | Path) -> Volume:
 
 
 def write_volume(path: str | Path, volume: Volume) -> None:
-    """Write a volume as NIfTI; channels (n_channels, nz, ny, nx) become its fourth axis. No text goes to the header."""
+    """Write a volume as NIfTI, without text in its header; channels (n_channels, nz, ny, nx) become its fourth axis."""
     values = np.ascontiguousarray(volume.values)
     image = sitk.GetImageFromArray(values, isVector=False)
     pad = values.ndim - 3
@@ -112,7 +119,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
 
 
 def _read(path: Path) -> sitk.Image:
-    """Read with ITK, saying nothing but our own sentences."""
+    """Read a file or folder with ITK, and replace its errors by an InputError."""
     if not path.exists():
         raise InputError(f"{path.name}: there is no such image; give {KNOWN}.")
     if path.is_dir():
@@ -134,14 +141,14 @@ def _read(path: Path) -> sitk.Image:
 
 
 def _unreadable(name: str, reason: str) -> str:
-    """Word the sentence for a header ITK cannot use."""
+    """Return the error for a header that ITK cannot use."""
     if "orthonormal" in reason:
         return f"{name}: the header's axes are sheared (not orthonormal); resample the image onto a rectangular grid."
     return f"{name}: this is not an image that can be read; give {KNOWN}, complete and under its right name."
 
 
 def _check_form(dimension: int, size: tuple[int, ...], n_components: int, name: str) -> None:
-    """Refuse what is not a scalar volume, before its voxels are read."""
+    """Refuse an image that is not a scalar volume, before its voxels are read."""
     while dimension > 3 and size[dimension - 1] == 1:
         dimension -= 1
     if dimension > 3:
@@ -174,7 +181,7 @@ def _read_series(folder: Path) -> sitk.Image:
 
 
 def _checked(image: sitk.Image, name: str) -> sitk.Image:
-    """Drop empty trailing axes, refuse voxels that are no numbers."""
+    """Drop trailing axes of length 1, and refuse voxels that are NaN or infinite."""
     while image.GetDimension() > 3:
         image = image[..., 0]
     values = sitk.GetArrayViewFromImage(image)
@@ -206,7 +213,7 @@ def _axis_aligned(image: sitk.Image, interpolator: int) -> sitk.Image:
 
 
 def _volume(image: sitk.Image) -> Volume:
-    """Voxels and geometry, nothing else."""
+    """Convert an ITK image to a volume of its voxels and geometry; all other header data are dropped."""
     sx, sy, sz = image.GetSpacing()
     ox, oy, oz = image.GetOrigin()
     return Volume(sitk.GetArrayFromImage(image), (sx, sy, sz), (ox, oy, oz))
@@ -214,7 +221,7 @@ def _volume(image: sitk.Image) -> Volume:
 
 @contextlib.contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what the C++ libraries print to file descriptors 1 and 2 away from the user."""
+    """Suppress output that the C++ libraries print to file descriptors 1 and 2."""
     shown = sitk.ProcessObject.GetGlobalWarningDisplay()
     sitk.ProcessObject.SetGlobalWarningDisplay(False)
     sys.stdout.flush()

@@ -16,7 +16,7 @@ def read_measurements(path: Path) -> dict[str, np.ndarray]:
     Raises
     ------
     InputError
-        If it cannot be read, or its rows are not as long as its first one.
+        If the file cannot be read, or a row has more or fewer columns than the first one.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -26,11 +26,11 @@ def read_measurements(path: Path) -> dict[str, np.ndarray]:
         raise InputError(f"{path}: cannot be read as text: {error}") from None
     lines = [line for line in text.splitlines() if line.strip()]
     if len(lines) < 2:
-        raise InputError(f"{path}: must have a row of column names and a row of numbers at least")
+        raise InputError(f"{path}: must have a row of column names and at least one row of numbers")
     width = lines[0].count(",")
     ragged = [number for number, line in enumerate(lines, 1) if line.count(",") != width]
     if ragged:
-        raise InputError(f"{path}: row {ragged[0]} must have {width + 1} columns as the first one has")
+        raise InputError(f"{path}: row {ragged[0]} must have {width + 1} columns, like the first row")
     if not text.endswith("\n"):
-        raise InputError(f"{path}: its last row does not end: the file may be cut off; end it with a line break")
+        raise InputError(f"{path}: the file must end with a line break; without one it may be cut off")
     return {name.strip(): column for name, column in read_history(path).items()}

@@ -1,42 +1,44 @@
-"""Meshes of a user's own: read, checked, and turned into arrays."""
+"""Read meshes supplied by the user, check them, and convert them to arrays."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, TypeVar
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
 import meshio
 import numpy as np
 
 from ..core.errors import InputError
 from ..core.units import density_kg_m3, density_kg_mm3, mm_from
-from ..geometry.meshing3d import BodyMesh
 from ..geometry.tetrahedra import boundary, check, unmirrored
 from .vtu import read_mesh, write_vtu
 
+if TYPE_CHECKING:
+    from ..geometry.meshing3d import BodyMesh
+
 CELLS = {"tetra": 4, "tetra10": 10}
 T = TypeVar("T")
-SURFACES = ("vertex", "line", "line3", "triangle", "triangle6")  # what mesh generators write beside the tetrahedra
+SURFACES = ("vertex", "line", "line3", "triangle", "triangle6")  # other cells that mesh generators write
 
 
 @dataclass(frozen=True)
 class MeshedBody:
-    """A body as its file gives it.
+    """A body as read from its file.
 
     Parameters
     ----------
     points : (n, 3) array [mm]
         Nodes, in the file's order.
     tetrahedra : (m, 4) or (m, 10) int array
-        Corners, then middles of edges.
+        Corners, then midpoints of edges.
     is_fixed : (n,) bool array
-        Nodes that are held.
+        Whether each node is constrained.
     displacement : (n, 3) array [mm]
-        How far they are moved; 0 at the others.
+        Prescribed displacement of constrained nodes; 0 at the others.
     is_sliding, is_pressurised : (n,) bool arrays
-        Corners of boundary faces that slide along themselves, and of those that bear pressure.
+        Corners of boundary faces that slide along themselves, and of those that carry pressure.
     E, nu, density : (m,) arrays [kPa], [1], [kg/mm^3]
         Tissue of each tetrahedron.
     """
@@ -58,36 +60,36 @@ def read_body(path: Path, unit: str, elastic: tuple[float, float] | None = None)
     Parameters
     ----------
     path : Path
-        The file, with cell data ``youngs_modulus_kPa``, ``poisson_ratio``, ``density_kg_m3`` and point data ``fixed``; where
-        there are, also point data ``prescribed_displacement`` [mm], ``sliding`` and ``pressurised``.
+        The file, with cell data ``youngs_modulus_kPa``, ``poisson_ratio``, ``density_kg_m3`` and point data ``fixed``, and
+        optionally point data ``prescribed_displacement`` [mm], ``sliding`` and ``pressurised``.
     unit : {"mm", "cm", "m"}
-        Unit of its coordinates.
+        Unit of the coordinates.
     elastic : (float, float), optional
-        Young's modulus [kPa] and Poisson's ratio of the whole body, which then does not give its own.
+        Young's modulus [kPa] and Poisson's ratio of the whole body, used instead of those in the file.
 
     Raises
     ------
     InputError
-        If the file is no such mesh, or no body can have it; the sentence begins with the file's name.
+        If the file is not such a mesh, or the mesh is not valid for a body; the message begins with the file's name.
     """
     return _read(path, lambda mesh: _body(mesh, unit, elastic))
 
 
-def read_wound(path: Path, unit: str) -> tuple[Solid, np.ndarray]:
-    """Read a mesh of tetrahedra with a wound in it, as ``read_body`` does; returns it and the wound's tetrahedra (m,) bool.
+def read_wound(path: Path, unit: str) -> tuple[TetrahedralMesh, np.ndarray]:
+    """Read a mesh of tetrahedra with a wound; return it, and whether each tetrahedron belongs to the wound (m,) bool.
 
     The file has cell data ``wound`` and point data ``fixed``, both 0 or 1.
 
     Raises
     ------
     InputError
-        If the file is no such mesh, or no body can have it; the sentence begins with the file's name.
+        If the file is not such a mesh, or the mesh is not valid for a body; the message begins with the file's name.
     """
     return _read(path, lambda mesh: _wound(mesh, unit))
 
 
 def _read(path: Path, of: Callable[[meshio.Mesh], T]) -> T:
-    """What a file's mesh makes; sentences on it begin with the file's name."""
+    """Read a mesh and convert it with the function ``of``; error messages begin with the file's name."""
     mesh = read_mesh(path)
     try:
         return of(mesh)
@@ -96,26 +98,26 @@ def _read(path: Path, of: Callable[[meshio.Mesh], T]) -> T:
 
 
 def write_body(path: Path, mesh: BodyMesh, E: np.ndarray, nu: np.ndarray, density: np.ndarray) -> None:
-    """Write what ``read_body`` reads: a mesh with E [kPa], nu [1] and density [kg/mm^3] of its tetrahedra (m,)."""
+    """Write a file for ``read_body``: a mesh with E [kPa], nu [1] and density [kg/mm^3] of its tetrahedra (m,)."""
     tissue = {"youngs_modulus_kPa": E, "poisson_ratio": nu, "density_kg_m3": density_kg_m3(density)}
-    is_fixed = np.isin(np.arange(len(mesh.nodes)), mesh.held_nodes)
+    is_fixed = np.isin(np.arange(len(mesh.nodes)), mesh.constrained_nodes)
     write_vtu(path, mesh.nodes, mesh.tetrahedra, {"fixed": is_fixed}, tissue)
 
 
-class Solid(NamedTuple):
-    """Tetrahedra of a file, and where they are held."""
+class TetrahedralMesh(NamedTuple):
+    """Tetrahedra of a file, and their constrained nodes."""
 
     points: np.ndarray
     """Nodes, in the file's order (n, 3) [mm]."""
     tetrahedra: np.ndarray
-    """Corners, then middles of edges (m, 4) or (m, 10)."""
+    """Corners, then midpoints of edges (m, 4) or (m, 10)."""
     is_fixed: np.ndarray
-    """(n,) bool."""
+    """Whether each node is constrained (n,) bool."""
     kind: str
-    """meshio's name of the cells."""
+    """Name of the cell type in meshio."""
 
 
-def _solid(mesh: meshio.Mesh, unit: str) -> Solid:
+def _tetrahedral_mesh(mesh: meshio.Mesh, unit: str) -> TetrahedralMesh:
     kinds = {block.type for block in mesh.cells}
     wrong = sorted(kinds - CELLS.keys() - set(SURFACES))
     if wrong or len(kinds & CELLS.keys()) != 1:
@@ -127,12 +129,12 @@ def _solid(mesh: meshio.Mesh, unit: str) -> Solid:
         raise InputError("the nodes must have three coordinates")
     tetrahedra = unmirrored(points, np.vstack([block.data for block in mesh.cells if block.type == kind]).astype(int))
     if "fixed" not in mesh.point_data:
-        raise InputError("point data `fixed` (1 where a node is held, else 0) are missing")
-    return Solid(points, tetrahedra, _marked(mesh.point_data, "fixed", len(points)), kind)
+        raise InputError("point data `fixed` (1 where a node is fixed, else 0) are missing")
+    return TetrahedralMesh(points, tetrahedra, _marked(mesh.point_data, "fixed", len(points)), kind)
 
 
-def _wound(mesh: meshio.Mesh, unit: str) -> tuple[Solid, np.ndarray]:
-    solid = _solid(mesh, unit)
+def _wound(mesh: meshio.Mesh, unit: str) -> tuple[TetrahedralMesh, np.ndarray]:
+    solid = _tetrahedral_mesh(mesh, unit)
     check(solid.points, solid.tetrahedra, solid.is_fixed, np.zeros_like(solid.is_fixed))
     marked = _cell_data(mesh, "wound", solid.kind)
     _refuse(~np.isin(marked, (0, 1)), "wound must be 0 or 1", marked)
@@ -142,7 +144,7 @@ def _wound(mesh: meshio.Mesh, unit: str) -> tuple[Solid, np.ndarray]:
 
 
 def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None) -> MeshedBody:
-    points, tetrahedra, is_fixed, kind = _solid(mesh, unit)
+    points, tetrahedra, is_fixed, kind = _tetrahedral_mesh(mesh, unit)
     is_sliding, is_pressurised = (_marked(mesh.point_data, name, len(points)) for name in ("sliding", "pressurised"))
     check(points, tetrahedra, is_fixed, is_sliding)
     _check_faces("sliding", is_sliding, tetrahedra)
@@ -162,7 +164,7 @@ def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None) -> 
 
 
 def _marked(point_data: Mapping[str, np.ndarray], name: str, n: int) -> np.ndarray:
-    """Nodes that are marked by 1 (n,) bool; none where the file has no such data."""
+    """Return whether the point data ``name`` mark each of n nodes by 1 (n,) bool; all False if the file lacks these data."""
     values = np.asarray(point_data.get(name, np.zeros(n)))
     if values.size != n or not np.isin(values, (0, 1)).all():
         raise InputError(f"point data `{name}` must be 0 or 1")
@@ -170,7 +172,7 @@ def _marked(point_data: Mapping[str, np.ndarray], name: str, n: int) -> np.ndarr
 
 
 def _displacement(point_data: Mapping[str, np.ndarray], is_fixed: np.ndarray) -> np.ndarray:
-    """How far nodes are to move (n, 3) [mm]."""
+    """Read the prescribed displacement of nodes (n, 3) [mm]."""
     name = "prescribed_displacement"
     values = np.asarray(point_data.get(name, np.zeros((len(is_fixed), 3))), float)
     if values.shape != (len(is_fixed), 3):
@@ -187,11 +189,11 @@ def _displacement(point_data: Mapping[str, np.ndarray], is_fixed: np.ndarray) ->
 
 
 def _check_faces(name: str, is_marked: np.ndarray, tetrahedra: np.ndarray) -> None:
-    """Refuse marked corners that make up no boundary face."""
+    """Refuse marked nodes that belong to no boundary face with three marked corners."""
     faces = boundary(tetrahedra[:, :4])
     lonely = is_marked.copy()
     lonely[faces[is_marked[faces].all(axis=1)]] = False
-    lonely[np.setdiff1d(np.arange(len(lonely)), tetrahedra[:, :4])] = False  # middles follow their corners
+    lonely[np.setdiff1d(np.arange(len(lonely)), tetrahedra[:, :4])] = False  # marks of midpoints are ignored
     if lonely.any():
         raise InputError(
             f"point data `{name}` mark {np.count_nonzero(lonely)} nodes that are on no boundary face with all three corners "

@@ -1,4 +1,4 @@
-"""Signalling networks from CSV: one file of species, one of reactions."""
+"""Reading of signalling networks from two CSV files, one of species and one of reactions."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..biology.network import HillNetwork, Inhibition
-from ..biology.network_model import Model
+from ..biology.network_model import NetworkModel
 from ..biology.rules import parse_rule
 from ..biology.wiring import Wiring
 from ..core.errors import InputError
@@ -24,8 +24,8 @@ REACTIONS = ("id", "rule", "weight", "n", "ec50")
 Row = dict[str, str]
 
 
-def read_network(species: Path, reactions: Path, inhibition: Inhibition = "complement") -> Model:
-    """Read a network of normalised Hill functions; columns beyond those needed, such as ``source``, are left alone.
+def read_network(species: Path, reactions: Path, inhibition: Inhibition = "complement") -> NetworkModel:
+    """Read a network of normalised Hill functions; other columns than those below, such as ``source``, are ignored.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
     reactions : Path
         Columns ``id``, ``rule`` (``TGFB & !smad7 => smad3``), ``weight``, ``n``, ``ec50`` [1].
     inhibition : str
-        As :class:`.HillNetwork` has it.
+        "complement" or "weighted", as in :class:`.HillNetwork`.
     """
     states, links = _table(species, SPECIES), _table(reactions, REACTIONS)
     start, y_max, tau_h = (_numbers(species, states, key) for key in SPECIES[1:])
@@ -52,11 +52,11 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
         raise InputError(f"{path}: {error}") from None
     notes = [f'Nothing acts on "{name}": it decays to 0.' for name in wiring.undriven]
     slowest_h = float(hours_from_seconds(tau.max()))
-    return Model(law, start, weight[wiring.input_reactions], y_max, slowest_h, True, tuple(notes))
+    return NetworkModel(law, start, weight[wiring.input_reactions], y_max, slowest_h, True, tuple(notes))
 
 
 def _table(path: Path, columns: Sequence[str]) -> list[Row]:
-    """Rows of a CSV file; empty lines are left out."""
+    """Read the rows of a CSV file, without empty lines."""
     rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text_of(path)))]
     lines = [(number, row) for number, row in enumerate(rows, 1) if any(row)]
     if not lines:
@@ -69,7 +69,7 @@ def _table(path: Path, columns: Sequence[str]) -> list[Row]:
         raise InputError(f"{path} has no rows below its column names")
     for number, row in lines[1:]:
         if len(row) != len(head):
-            raise InputError(f"{path}: row {number} must have {len(head)} columns as the first one has; got {len(row)}")
+            raise InputError(f"{path}: row {number} must have {len(head)} columns, like the first row; got {len(row)}")
         if not row[head.index("id")]:
             raise InputError(f"{path}: row {number} has no id")
     return [dict(zip(head, row)) for _, row in lines[1:]]

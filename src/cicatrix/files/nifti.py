@@ -1,4 +1,4 @@
-"""Faults that the NIfTI library passes over in silence: files cut short, NaN voxels (it turns them into 0)."""
+"""Check for faults in NIfTI files that the NIfTI library ignores: truncated files, and NaN voxels, which it sets to 0."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ FLOATS = {16: "f4", 64: "f8"}
 
 
 def check_nifti(path: Path) -> None:
-    """Refuse a NIfTI-1 file that is cut short or holds NaN or infinite voxels; other files pass.
+    """Refuse a NIfTI-1 file that is truncated or has NaN or infinite voxels; other files pass.
 
     Raises
     ------
     InputError
-        As above.
+        If the file is truncated, or has NaN or infinite voxels.
     """
     try:
         raw = gzip.decompress(path.read_bytes()) if path.name.endswith(".gz") else path.read_bytes()

@@ -1,4 +1,4 @@
-"""Reaction networks from SBML: libsbml reads, checks and inlines; what comes out is :class:`.Kinetics`."""
+"""Reading of reaction networks from SBML: libsbml checks them and expands functions; the result is :class:`.Kinetics`."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from typing import Any
 import numpy as np
 
 from ..biology.kinetics import CONSTANTS, FUNCTIONS, TIME, Expression, Kinetics, evaluate, names_in
-from ..biology.network_model import Model
+from ..biology.network_model import NetworkModel
 from ..biology.rules import unknown_species
 from ..core.errors import InputError
-from ..core.units import inner_per_typed
+from ..core.units import unit_factor
 from .text import text_of
 
 MISSING = "needs python-libsbml to read SBML: pip install 'cicatrix[sbml]'"
 CONVERSIONS = ("expandFunctionDefinitions", "promoteLocalParameters")
-WORDS = {  # of libsbml's nodes, by the name after AST_
+WORDS = {  # type of a libsbml node, without the prefix AST_ -> word of Kinetics
     "PLUS": "plus",
     "MINUS": "minus",
     "TIMES": "times",
@@ -35,7 +35,7 @@ WORDS = {  # of libsbml's nodes, by the name after AST_
 VALUES = {"CONSTANT_PI": "pi", "CONSTANT_E": "exponentiale", "CONSTANT_TRUE": "true", "CONSTANT_FALSE": "false"}
 
 
-def read_sbml(path: Path, time_unit: str = "s") -> Model:
+def read_sbml(path: Path, time_unit: str = "s") -> NetworkModel:
     """Read a model of SBML Level 1, 2 or 3.
 
     Parameters
@@ -43,12 +43,12 @@ def read_sbml(path: Path, time_unit: str = "s") -> Model:
     path : Path
         The file.
     time_unit : str
-        What the model counts time in: "s", "min", "h" or "d".
+        Unit of time of the model: "s", "min", "h" or "d".
 
     Raises
     ------
     InputError
-        If libsbml is not installed or finds the file at fault, or the model uses what is not supported, which is named.
+        If libsbml is not installed, the file is not valid, or the model uses features that are not supported; they are named.
     """
     try:
         import libsbml  # pyright: ignore[reportMissingImports]
@@ -64,7 +64,7 @@ def read_sbml(path: Path, time_unit: str = "s") -> Model:
         properties.addOption(conversion, True)
         if document.convert(properties) != libsbml.LIBSBML_OPERATION_SUCCESS:
             raise InputError(f"{path}: libsbml could not convert it ({conversion})")
-    return _Reader(path, document.getModel(), libsbml).model(inner_per_typed(time_unit, "s"))
+    return _Reader(path, document.getModel(), libsbml).model(unit_factor(time_unit, "s"))
 
 
 def _text(path: Path) -> str:
@@ -72,7 +72,7 @@ def _text(path: Path) -> str:
     if not text.strip():
         raise InputError(f"{path} is empty")
     if not re.search(r"<(\w+:)?sbml\b", text):
-        raise InputError(f"{path} is no file of SBML: there is no <sbml> in it")
+        raise InputError(f"{path} is not an SBML file: there is no <sbml> in it")
     return text
 
 
@@ -84,11 +84,11 @@ def _refuse_faulty(path: Path, document: Any, libsbml: Any) -> None:
             words = " ".join(error.getMessage().split())
             raise InputError(f"{path}: line {error.getLine()}: not valid SBML: {words[:300]}")
     if document.getModel() is None:
-        raise InputError(f"{path}: holds no model of SBML")
+        raise InputError(f"{path}: contains no SBML model")
 
 
 def _unsupported(document: Any, libsbml: Any) -> Iterator[str]:
-    """What a model has that Kinetics cannot say, in words."""
+    """Yield the features of a model that Kinetics cannot represent, in words."""
     model = document.getModel()
     for k in range(document.getNumPlugins()):
         name = document.getPlugin(k).getPackageName()
@@ -104,12 +104,12 @@ def _unsupported(document: Any, libsbml: Any) -> Iterator[str]:
         yield "conversion factors"
     changed = {rule.getVariable() for rule in model.getListOfRules()}
     if any(one.getId() in changed for one in model.getListOfCompartments()):
-        yield "compartments that change their size"
+        yield "compartments of variable size"
     changed |= {one.getSymbol() for one in model.getListOfInitialAssignments()}
     for reaction in model.getListOfReactions():
         for one in (*reaction.getListOfReactants(), *reaction.getListOfProducts()):
             if one.isSetStoichiometryMath() or (one.isSetId() and one.getId() in changed):
-                yield "stoichiometries that are computed"
+                yield "computed stoichiometries"
     for math in _all_math(model):
         yield from _unsupported_in(math, libsbml)
 
@@ -131,7 +131,7 @@ def _unsupported_in(node: Any, libsbml: Any) -> Iterator[str]:
 
 
 class _Reader:
-    """One model on its way."""
+    """Converter of one SBML model to :class:`.Kinetics`."""
 
     def __init__(self, path: Path, model: Any, libsbml: Any):
         self.path, self.source = path, model
@@ -146,8 +146,8 @@ class _Reader:
         }
         self.initial = {one.getSymbol(): self._math(one) for one in model.getListOfInitialAssignments()}
 
-    def model(self, seconds: float) -> Model:
-        """Sort what changes from what does not, and put values on all of it."""
+    def model(self, seconds: float) -> NetworkModel:
+        """Separate states from constants, evaluate their initial values, and build the model."""
         self._refuse_without_law()
         rates = self._reactions() | self.rate_rules
         if not rates:
@@ -166,8 +166,8 @@ class _Reader:
         start = np.array([given[name] for name in rates])
         high = np.where(start > 0.0, 2.0 * start, 1.0)
         computed = [one.getId() for one in self.source.getListOfSpecies() if one.getId() in self.assigned]
-        notes = [f'Species "{name}" is computed by a rule and is no column of its own.' for name in computed]
-        return Model(law, start, values, high, None, False, tuple(notes))
+        notes = [f'Species "{name}" is computed by a rule and has no column of its own.' for name in computed]
+        return NetworkModel(law, start, values, high, None, False, tuple(notes))
 
     def _refuse_without_law(self) -> None:
         for reaction in self.source.getListOfReactions():
@@ -182,7 +182,7 @@ class _Reader:
                 raise InputError(f'{self.path}: {kind} "{name}" {unknown_species(one, known, "id")}')
 
     def _reactions(self) -> dict[str, Expression]:
-        """Rate of every species that reactions change."""
+        """Return the rate of change of each species that takes part in reactions, as an expression by name."""
         parts: dict[str, list[Expression]] = {}
         changing = {
             one.getId()
@@ -202,12 +202,12 @@ class _Reader:
         return ("divide", rate, ("name", self.volume[name])) if name in self.volume else rate
 
     def _is_dense(self, species: Any) -> bool:
-        """Whether its symbol is an amount per volume."""
+        """Return whether the symbol of a species stands for a concentration, not for an amount."""
         compartment = self.source.getCompartment(species.getCompartment())
         return not species.getHasOnlySubstanceUnits() and compartment.getSpatialDimensionsAsDouble() > 0.0
 
     def _given(self, one: Any) -> Expression | None:
-        """What an element's own attributes say of its value at the start."""
+        """Return the initial value from the attributes of an SBML compartment, parameter or species; None if there is none."""
         if one.getElementName() == "compartment":
             return ("number", one.getSize()) if one.isSetSize() else ("number", 1.0)
         if one.getElementName() == "parameter":
@@ -223,13 +223,13 @@ class _Reader:
         return None
 
     def _start(self, given: dict[str, Expression | None], asked: list[str]) -> dict[str, float]:
-        """Values at time 0 of the names asked for, and of all that these need."""
+        """Evaluate the symbols in ``asked``, and all symbols on which they depend, at time 0: name -> value."""
         rules = {name: rule for name, rule in (given | self.initial | self.assigned).items() if rule is not None}
         needed, found = self._closure(rules, asked), {TIME: 0.0}
         for name, rule in self._ordered({name: rules[name] for name in needed}, {TIME}):
             found[name] = float(np.asarray(evaluate(rule, found)))
             if not np.isfinite(found[name]):
-                raise InputError(f'{self.path}: "{name}" starts at {found[name]}, which is no number')
+                raise InputError(f'{self.path}: "{name}" starts at {found[name]}, which is not a finite number')
         return found
 
     def _closure(self, rules: dict[str, Expression], asked: list[str]) -> set[str]:
@@ -237,19 +237,19 @@ class _Reader:
         while left:
             name = left.pop()
             if name not in rules:
-                raise InputError(f'{self.path}: "{name}" has no value at the start')
+                raise InputError(f'{self.path}: "{name}" has no initial value')
             if name not in needed:
                 needed.add(name)
                 left += names_in(rules[name]) - {TIME}
         return needed
 
     def _ordered(self, rules: dict[str, Expression], known: set[str]) -> tuple[tuple[str, Expression], ...]:
-        """Rules in an order in which each needs only those before it."""
+        """Sort rules so that each depends only on those before it."""
         order, known, left = [], set(known), dict(rules)
         while left:
             ready = [name for name, rule in left.items() if names_in(rule) <= known]
             if not ready:
-                raise InputError(f"{self.path}: the rules of {', '.join(sorted(left))} need each other")
+                raise InputError(f"{self.path}: the rules of {', '.join(sorted(left))} depend on each other")
             order += [(name, left.pop(name)) for name in ready]
             known |= set(ready)
         return tuple(order)
@@ -260,7 +260,7 @@ class _Reader:
         return self._expression(owner.getMath())
 
     def _expression(self, node: Any) -> Expression:
-        """A formula without libsbml."""
+        """Convert a formula from libsbml's nodes to an expression of Kinetics."""
         word = self.word_of(node.getType())
         if node.isNumber():
             return ("number", float(node.getValue()))

@@ -1,4 +1,4 @@
-"""Surfaces for printing and planning software: STL, binary, in millimetres."""
+"""Writing of surfaces for 3-D printing and planning software: binary STL files in millimetres."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute"
 
 
 def write_stl(path: Path, points: np.ndarray, triangles: np.ndarray) -> None:
-    """Write triangles (k, 3), counter-clockwise from outside, of points (n, 3) [mm], whole or not at all."""
+    """Write triangles (k, 3), counter-clockwise from outside, with points (n, 3) [mm], as an STL file, atomically."""
     normals = area_vectors(points, triangles)
     facets = np.zeros(len(triangles), FACET)
     facets["normal"] = normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)

@@ -14,7 +14,7 @@ def text_of(path: Path) -> str:
     Raises
     ------
     InputError
-        If it is a folder, is no text or cannot be read.
+        If it is a folder, is not text or cannot be read.
     """
     try:
         return path.read_text(encoding="utf-8-sig")
@@ -27,7 +27,7 @@ def text_of(path: Path) -> str:
 
 
 def sha256_of(path: Path) -> str:
-    """Hash of a file's bytes; of a folder, the hash over the sorted hashes of its files, whatever their names."""
+    """Hash a file's bytes; for a folder, hash the sorted hashes of its files, without their names."""
     if path.is_dir():
         digests = sorted(sha256_of(file) for file in path.rglob("*") if file.is_file())
         return hashlib.sha256("\n".join(digests).encode()).hexdigest()

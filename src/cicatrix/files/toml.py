@@ -1,4 +1,4 @@
-"""TOML out of plain tables; what is not said (None) is left out."""
+"""Writing of plain tables as TOML; keys whose value is None are left out."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 
 
 def toml_text(tables: Mapping[str, Any]) -> str:
-    """Write nested tables of numbers, texts and lists: tables of the first level, and lists of them, get heads."""
+    """Return nested tables of numbers, texts and lists as TOML; tables of the first level, and lists of them, get headers."""
     said = {key: value for key, value in tables.items() if value is not None}
     heads = {key: value for key, value in said.items() if isinstance(value, Mapping) or _is_tables(value)}
     blocks = ["\n".join(_lines({key: value for key, value in said.items() if key not in heads}))]

@@ -23,15 +23,15 @@ NAME = re.compile(r"(?P<part>.+)-(?P<cycle>\d{4,})\.vtu")
 
 
 @dataclass(frozen=True)
-class Frame:
-    """One file of the series: which part of the picture, at which cycle and time [days]."""
+class TimeStepFile:
+    """One file of the series: part of the model, cycle and time [days]."""
 
     part: str
     cycle: int
     time_days: float
 
     @property
-    def file(self) -> str:
+    def name(self) -> str:
         """Name of the VTU file."""
         return f"{self.part}-{self.cycle:04d}.vtu"
 
@@ -43,16 +43,16 @@ def write_vtu(
     point_data: Mapping[str, np.ndarray] | None = None,
     cell_data: Mapping[str, np.ndarray] | None = None,
 ) -> None:
-    """Write a mesh of triangles or tetrahedra with data, whole or not at all.
+    """Write a mesh of triangles or tetrahedra with data as a VTU file, atomically.
 
     Parameters
     ----------
     path : Path
-        Ends in ``.vtu``.
+        File name, which ends in ``.vtu``.
     points : (n_points, 2) or (n_points, 3) array [mm]
         Nodes; a plane mesh lies at z = 0.
     cells : (n_cells, 3, 6, 4 or 10) array of int
-        Corners of triangles counter-clockwise, then the middles of edges 01, 12, 20; corners of tetrahedra, then the middles
+        Corners of triangles counter-clockwise, then the midpoints of edges 01, 12, 20; corners of tetrahedra, then the midpoints
         of edges 01, 12, 02, 03, 13, 23.
     point_data, cell_data : mapping of str to array
         One row per node or cell; rows of length 2 get a third component 0, booleans become 0 and 1.
@@ -76,49 +76,49 @@ def write_vtu(
 
 
 def read_mesh(path: Path) -> meshio.Mesh:
-    """Read a file of a mesh with its data, whatever its format.
+    """Read a mesh with its data from a file in any format that meshio knows.
 
     Raises
     ------
     InputError
-        If that cannot be done.
+        If the file cannot be read as a mesh.
     """
     try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # it tells faults there, and then exits
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # meshio prints errors and then exits
             return meshio.read(path)
     except (Exception, SystemExit) as error:
         raise InputError(f"{path.name} cannot be read as a mesh: {str(error) or type(error).__name__}") from None
 
 
-def write_series(folder: Path, frames: list[Frame]) -> None:
-    """Write the file that ParaView opens: every frame with its time; each part keeps its number."""
-    parts = sorted({frame.part for frame in frames})
-    ordered = sorted(frames, key=lambda frame: (frame.time_days, frame.part, frame.cycle))
+def write_series(folder: Path, step_files: list[TimeStepFile]) -> None:
+    """Write the series file that ParaView opens, with the file and time of every time step; each part has a number."""
+    parts = sorted({step_file.part for step_file in step_files})
+    ordered = sorted(step_files, key=lambda step_file: (step_file.time_days, step_file.part, step_file.cycle))
     rows = [
-        f'    <DataSet timestep="{frame.time_days!r}" group="" part="{parts.index(frame.part)}"'
-        f" name={quoteattr(frame.part)} file={quoteattr(frame.file)}/>"
-        for frame in ordered
+        f'    <DataSet timestep="{step_file.time_days!r}" group="" part="{parts.index(step_file.part)}"'
+        f" name={quoteattr(step_file.part)} file={quoteattr(step_file.name)}/>"
+        for step_file in ordered
     ]
     head = ['<?xml version="1.0"?>', '<VTKFile type="Collection" version="0.1" byte_order="LittleEndian">']
     lines = [*head, "  <Collection>", *rows, "  </Collection>", "</VTKFile>", ""]
     write_bytes(folder / SERIES, "\n".join(lines).encode())
 
 
-def read_series(folder: Path) -> list[Frame]:
-    """Read the frames of a series; none if there is no series yet."""
+def read_series(folder: Path) -> list[TimeStepFile]:
+    """Read the time steps of a series; an empty list if there is no series yet."""
     path = folder / SERIES
     if not path.is_file():
         return []
-    frames = []
+    step_files = []
     for row in ElementTree.parse(path).iter("DataSet"):
         match = NAME.fullmatch(row.get("file", ""))
         if match:
-            frames.append(Frame(match["part"], int(match["cycle"]), float(row.get("timestep", "nan"))))
-    return frames
+            step_files.append(TimeStepFile(match["part"], int(match["cycle"]), float(row.get("timestep", "nan"))))
+    return step_files
 
 
 def _spatial(values: np.ndarray) -> np.ndarray:
-    """Pad rows of two numbers by a zero: VTK knows no plane."""
+    """Append a zero to rows of two numbers, as VTK requires three coordinates."""
     return np.pad(values, ((0, 0), (0, 1))) if values.shape[1] == 2 else values
 
 

@@ -1,1 +1,1 @@
-"""Where: volumes, lattices, meshes and the transfer between them."""
+"""Geometry: image volumes, lattices, meshes, and the transfer of fields between them."""

@@ -1,4 +1,4 @@
-"""A body-centred cubic lattice of tetrahedra."""
+"""Body-centred cubic lattice of tetrahedra."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ from .tetrahedra import oriented
 
 
 def bcc_lattice(low: np.ndarray, high: np.ndarray, edge_mm: float) -> tuple[np.ndarray, np.ndarray]:
-    """Tetrahedra on the corners and centres of cubes that fill a box.
+    """Fill a box with tetrahedra whose nodes are the corners and centres of cubes.
 
-    Each face between two cubes is shared by four tetrahedra around the line between their centres; each face on the box
-    by two. Dihedral angles are 60 and 90 degrees, at the box 45 to 120.
+    Each face between two cubes is covered by four tetrahedra around the line between the two centres, each face on the box
+    by two. Dihedral angles are 60 and 90 degrees, at the box 45 to 120 degrees.
 
     Parameters
     ----------
     low, high : (3,) array [mm]
         Corners of the box.
     edge_mm : float
-        Longest edge of a cube [mm]; it is made a little shorter to fill the box.
+        Upper limit of a cube's edge [mm]; the edge is shortened so that a whole number of cubes fills the box.
 
     Returns
     -------
@@ -36,7 +36,10 @@ def bcc_lattice(low: np.ndarray, high: np.ndarray, edge_mm: float) -> tuple[np.n
 
 
 def _across(corner: np.ndarray, centre: np.ndarray, axis: int) -> np.ndarray:
-    """Tetrahedra on the cubes' faces normal to an axis (m, 4)."""
+    """Return the tetrahedra around all cube faces normal to an axis (m, 4): across inner faces, and on faces of the box.
+
+    ``corner`` and ``centre`` are arrays of the node numbers of the cubes' corners and centres.
+    """
     corner, centre = np.moveaxis(corner, axis, 0), np.moveaxis(centre, axis, 0)
     ring = [corner[:, :-1, :-1], corner[:, 1:, :-1], corner[:, 1:, 1:], corner[:, :-1, 1:]]
     between = [(centre[:-1], centre[1:], p[1:-1], q[1:-1]) for p, q in zip(ring, ring[1:] + ring[:1])]

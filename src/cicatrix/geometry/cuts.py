@@ -1,29 +1,29 @@
-"""Where a plane cuts tetrahedra."""
+"""Intersection of tetrahedra with a plane."""
 
 from __future__ import annotations
 
 import numpy as np
 
-# by number of corners below the plane, corners sorted by height: the edges around the cut, a triangle's last one twice
+# number of corners below the plane -> edges that the plane cuts, in order (corners numbered by height; triangle: last edge twice)
 AROUND = {1: [[0, 1], [0, 2], [0, 3], [0, 3]], 2: [[0, 2], [0, 3], [1, 3], [1, 2]], 3: [[3, 0], [3, 1], [3, 2], [3, 2]]}
 
 
 def plane_cut(points: np.ndarray, tetrahedra: np.ndarray, axis: int, position: float) -> tuple[np.ndarray, np.ndarray]:
-    """Polygons in which the plane of a constant coordinate cuts tetrahedra.
+    """Return the polygons in which a plane normal to a coordinate axis cuts tetrahedra.
 
     Parameters
     ----------
     points, tetrahedra : (n, 3) [mm], (m, 4) array
         Mesh.
     axis : int
-        Which coordinate is constant.
+        Coordinate axis normal to the plane.
     position : float
-        Its value [mm]; nodes exactly there count as above.
+        Coordinate of the plane [mm]; nodes exactly on it count as above.
 
     Returns
     -------
     (k, 4, 3) array [mm], (k,) int array
-        Corners in order, the third twice in a triangle, and the number of the tetrahedron.
+        Corners of each polygon in order (a triangle repeats its third), and the index of its tetrahedron.
     """
     height = points[tetrahedra, axis] - position
     order = np.argsort(height, axis=1, kind="stable")

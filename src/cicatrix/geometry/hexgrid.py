@@ -1,6 +1,6 @@
-"""Cell-sized lattices: hexagonal (2-D, root lattice A2) and face-centred cubic (3-D, root lattice A3) by the same code.
+"""Lattices of cell sites: hexagonal in 2-D (root lattice A2) and face-centred cubic in 3-D (root lattice A3).
 
-Axial storage: site ``i`` (one integer per axis) sits at ``origin + i @ basis``. The basis vectors are as long as the
+Axial storage: site ``i`` (one integer per axis) lies at ``origin + i @ basis``. The basis vectors have the length of the
 pitch and meet at 60 degrees, so the nearest neighbours are exactly +-e_i and e_i - e_j: 6 in 2-D, 12 in 3-D.
 """
 
@@ -20,21 +20,21 @@ MAX_SITES = 2**40
 
 @dataclass(frozen=True)
 class Lattice:
-    """A block of sites in axial storage.
+    """Block of lattice sites in axial storage.
 
     Parameters
     ----------
     shape : tuple of 2 or 3 int
-        Sites along each axial axis; the last axis runs along x.
+        Number of sites along each lattice axis; the last axis runs along x.
     pitch_mm : float
-        Distance of nearest neighbours [mm].
+        Distance between nearest neighbours [mm].
     origin_mm : tuple of 2 or 3 float
         Position of site 0 as x, y (, z) [mm].
 
     Raises
     ------
     InputError
-        If a size is not positive, or the numbers do not fit together.
+        If a size is not positive or too large, or the arguments differ in dimension.
     """
 
     shape: tuple[int, ...]
@@ -55,10 +55,10 @@ class Lattice:
 
     @classmethod
     def covering(cls, low_mm: np.ndarray, high_mm: np.ndarray, pitch_mm: float) -> Lattice:
-        """Smallest lattice with site 0 at ``low`` modulo the pitch whose sites cover the box: low, high (n,) [mm].
+        """Return the smallest lattice of given pitch that covers a box from ``low`` to ``high`` (n,) [mm]; ``low`` is a site.
 
-        Every point of the box has all the sites around it (``nearest`` never clips there). The block is sheared, so
-        part of its sites lies outside the box.
+        For every point of the box all surrounding sites exist, so ``nearest`` never leaves the lattice there. The block
+        of sites is sheared, so some of them lie outside the box.
         """
         low, high = np.asarray(low_mm, float), np.asarray(high_mm, float)
         if low.ndim != 1 or low.shape != high.shape or low.size not in (2, 3):
@@ -83,13 +83,13 @@ class Lattice:
 
     @cached_property
     def basis_mm(self) -> np.ndarray:
-        """Basis vectors as rows: (n, n) [mm]; lengths = pitch, mutual angles 60 degrees, the last one along x."""
+        """Basis vectors as rows: (n, n) [mm]; their length is the pitch, their mutual angle 60 degrees, the last is along x."""
         gram = (np.ones((self.ndim, self.ndim)) + np.eye(self.ndim)) / 2
         return self.pitch_mm * np.linalg.cholesky(gram)[::-1]
 
     @cached_property
     def neighbours(self) -> np.ndarray:
-        """Offsets of the nearest neighbours, in the fixed order of the specification: (6, 2) or (12, 3) int."""
+        """Index offsets of the nearest neighbours, in the order of docs/theory/automaton.md: (6, 2) or (12, 3) int."""
         e = np.eye(self.ndim, dtype=np.int64)
         straight = [sign * v for v in e for sign in (1, -1)]
         across = [e[i] - e[j] for i in range(self.ndim) for j in range(self.ndim) if i != j]
@@ -101,15 +101,15 @@ class Lattice:
         return float(abs(np.linalg.det(self.basis_mm)))
 
     def position(self, index: np.ndarray) -> np.ndarray:
-        """Positions: site indices (..., n) -> (..., n) x, y (, z) [mm]."""
+        """Return the positions of sites: indices (..., n) -> (..., n) x, y (, z) [mm]."""
         return np.asarray(index, float) @ self.basis_mm + np.asarray(self.origin_mm)
 
     def positions(self) -> np.ndarray:
-        """Positions of all sites: (*shape, n) [mm]."""
+        """Return the positions of all sites: (*shape, n) [mm]."""
         return self.position(np.stack(np.meshgrid(*map(np.arange, self.shape), indexing="ij"), axis=-1))
 
     def near_middle(self, radius_mm: float) -> np.ndarray:
-        """Sites nearer to the middle of the block than a radius, found row by row: bool array of the lattice's shape."""
+        """Return whether each site lies within a radius of the block's centre, bool array of its shape (computed row by row)."""
         middle = self.position((np.array(self.shape) - 1) / 2)
         along = np.arange(self.shape[-1])[:, None] * self.basis_mm[-1]
         out = np.zeros(self.shape, bool)
@@ -119,7 +119,7 @@ class Lattice:
         return out
 
     def index(self, points_mm: np.ndarray) -> np.ndarray:
-        """Fractional site indices: points (..., n) [mm] -> (..., n) [1]."""
+        """Return fractional site indices: points (..., n) [mm] -> (..., n) [1]."""
         return (np.asarray(points_mm, float) - np.asarray(self.origin_mm)) @ np.linalg.inv(self.basis_mm)
 
     def nearest(self, points_mm: np.ndarray) -> np.ndarray:
@@ -135,35 +135,36 @@ class Lattice:
         return (low + corners[nearest]).astype(np.int64)
 
     def contains(self, index: np.ndarray) -> np.ndarray:
-        """Whether site indices lie on the lattice: (..., n) int -> (...) bool."""
+        """Check whether site indices lie within the lattice: (..., n) int -> (...) bool."""
         index = np.asarray(index)
         return np.asarray(((index >= 0) & (index < np.array(self.shape))).all(axis=-1))
 
     def beside(self, marked: np.ndarray) -> np.ndarray:
-        """Sites with a marked neighbour: bool array of the lattice's shape -> the same; the frame has no neighbours."""
+        """Mark the sites that have a marked neighbour on the lattice: bool array of the lattice's shape -> the same."""
         return np.logical_or.reduce(list(self._shifted(marked)))
 
     def n_bonds(self, one: np.ndarray, other: np.ndarray) -> int:
-        """Count the neighbouring pairs with one site in ``one`` and the other in ``other`` (disjoint bool arrays)."""
+        """Count the pairs of neighbouring sites between two disjoint sets, each a bool array of the lattice's shape."""
         return sum(int(np.count_nonzero(one & shifted)) for shifted in self._shifted(other))
 
     def _shifted(self, marked: np.ndarray) -> Iterator[np.ndarray]:
-        """The array as each neighbour sees it, in the order of ``neighbours``."""
+        """Yield, for each neighbour direction, the value at that neighbour of every site; False if it is outside the lattice."""
         padded = np.pad(marked, 1)
         for offset in self.neighbours:
             yield padded[tuple(slice(1 + o, 1 + o + n) for o, n in zip(offset, self.shape))]
 
     def ball(self, radius_sites: int) -> np.ndarray:
-        """Offsets within a hop distance, itself included: (n_offsets, n) int64."""
+        """Return the index offsets of all sites within ``radius_sites`` hops of a site, itself included: (n_offsets, n) int64."""
         axis = np.arange(-radius_sites, radius_sites + 1)
         cube = np.stack(np.meshgrid(*[axis] * self.ndim, indexing="ij"), axis=-1).reshape(-1, self.ndim)
         return cube[hops(cube) <= radius_sites]
 
 
 def hops(offset: np.ndarray) -> np.ndarray:
-    """Count the steps between neighbours that cover an offset: (..., n) int -> (...) int.
+    """Return the hop distance, the least number of steps between neighbours, of an offset: (..., n) int -> (...) int.
 
-    A step +-e_i or e_i - e_j raises the positive part by at most one and the negative part by at most one.
+    It is the larger of the sums of positive and of negative components, as a step +-e_i or e_i - e_j changes each by at
+    most one.
     """
     offset = np.asarray(offset)
     return np.maximum(np.maximum(offset, 0).sum(axis=-1), np.maximum(-offset, 0).sum(axis=-1))

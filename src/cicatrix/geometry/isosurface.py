@@ -1,4 +1,4 @@
-"""The surface of a segmented body between its voxels, and the signed distance to it."""
+"""Surface of a segmented body at sub-voxel resolution, and the signed distance to it."""
 
 from __future__ import annotations
 
@@ -14,22 +14,22 @@ from .labels import TISSUES, Label
 from .meshing import Function
 from .volume import Volume
 
-LEVEL = 0.5  # a voxel on the surface is half body
-MARGIN = 4  # voxels around the body that are kept
+LEVEL = 0.5  # body fraction of a voxel on the surface
+MARGIN = 4  # margin around the body when the image is cropped [voxels]
 
 
 @dataclass(frozen=True, eq=False)
-class Segmented:
-    """The body that an image shows.
+class SegmentedBody:
+    """Body segmented from an image, as a volume fraction per voxel.
 
     Parameters
     ----------
     share : Volume
-        (nz, ny, nx) float32, share of the body in each voxel, 0 .. 1; ends where the image ends, or a few voxels off the body.
+        (nz, ny, nx) float32, fraction of each voxel that belongs to the body, 0 .. 1; cropped to the body with a margin.
     volume : float
-        Of the largest piece with its holes filled, thin parts included [mm^3].
+        Volume of the largest connected component with its holes filled, thin parts included [mm^3].
     notes : tuple of str
-        What was averaged, left out or filled.
+        Messages that say what was averaged, left out or filled.
     """
 
     share: Volume
@@ -39,24 +39,24 @@ class Segmented:
 
 def segmented_body(
     labels: Volume, tissue: Volume | None = None, *, finest_mm: float = 0.0, thin_mm: float = 0.0
-) -> Segmented:
-    """Take the body from a label map: its largest piece, without holes and without sheets and spikes.
+) -> SegmentedBody:
+    """Extract the body from a label map: the largest connected component, with holes filled and thin parts removed.
 
     Parameters
     ----------
     labels : Volume
-        (nz, ny, nx) of `Label`; the body is what is fat, gland, skin or tumour.
+        (nz, ny, nx) of `Label`; the body consists of fat, gland, skin and tumour.
     tissue : Volume, optional
-        Share 0 .. 1 of tissue in each voxel of the same grid; left out, each voxel counts whole or not at all.
+        Tissue fraction 0 .. 1 of each voxel on the same grid; without it the fraction is 1 or 0, by the label.
     finest_mm : float
         Smaller voxels are averaged to about this edge [mm].
     thin_mm : float
-        What a ball of this diameter cannot reach from inside is left out [mm].
+        Parts that a ball of this diameter cannot enter are removed (morphological opening) [mm].
 
     Raises
     ------
     InputError
-        If the labels hold no breast, the grids differ, or the breast is too thin.
+        If the labels contain no breast, the grids differ, or the breast is too thin.
     """
     if tissue is not None and tissue.shape != labels.shape:
         raise InputError(
@@ -76,7 +76,7 @@ def segmented_body(
     if n_thin := int(whole.sum() - thick.sum()):
         more += (f"parts thinner than {thin_mm:.1f} mm left out, {n_thin} of {whole.sum()} voxels",)
     volume = _kept(share, whole).values.sum(dtype=float) * np.prod(share.spacing_mm)
-    return Segmented(_kept(share, thick), float(volume), (*notes, *more))
+    return SegmentedBody(_kept(share, thick), float(volume), (*notes, *more))
 
 
 def _triple(numbers: np.ndarray) -> tuple[float, float, float]:
@@ -85,12 +85,12 @@ def _triple(numbers: np.ndarray) -> tuple[float, float, float]:
 
 
 def _box(mask: np.ndarray) -> tuple[slice, ...]:
-    """Box around a mask, `MARGIN` voxels wider."""
+    """Return the bounding box of a mask, enlarged by `MARGIN` voxels."""
     return tuple(slice(max(s.start - MARGIN, 0), s.stop + MARGIN) for s in ndi.find_objects(mask.astype(np.uint8))[0])
 
 
 def _averaged(share: Volume, finest_mm: float) -> tuple[Volume, tuple[str, ...]]:
-    """Mean over blocks of voxels, and a note where that changed anything."""
+    """Return the volume averaged over blocks of voxels with edges up to ``finest_mm``, and a note if the grid changed."""
     spacing = np.asarray(share.spacing_mm)
     n = np.maximum(np.floor(finest_mm / spacing + 1e-6).astype(int), 1)
     if np.all(n == 1):
@@ -104,7 +104,7 @@ def _averaged(share: Volume, finest_mm: float) -> tuple[Volume, tuple[str, ...]]
 
 
 def _whole(mask: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
-    """Largest piece of a mask with its holes filled, and what that changed."""
+    """Return a mask's largest connected component with its holes filled, and notes on parts left out and holes filled."""
     pieces, n = ndi.label(mask)  # pyright: ignore[reportGeneralTypeIssues]
     notes = []
     if n > 1:
@@ -118,7 +118,7 @@ def _whole(mask: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
 
 
 def _opened(mask: np.ndarray, diameter: np.ndarray) -> np.ndarray:
-    """Largest piece of what a ball of ``diameter`` (3,) voxels reaches in a mask that may go on beyond the image."""
+    """Open a mask with a ball of ``diameter`` (3,) voxels and return the largest component; outside the image counts as body."""
     if not np.asarray(ndi.binary_erosion(mask, np.ones((3, 3, 3)), border_value=1)).any():
         raise InputError("labels: the breast is thinner than three voxels everywhere; give labels with smaller voxels.")
     n = np.maximum(np.floor((diameter - 1) / 2), 0).astype(int)
@@ -131,24 +131,24 @@ def _opened(mask: np.ndarray, diameter: np.ndarray) -> np.ndarray:
 
 
 def _kept(share: Volume, body: np.ndarray) -> Volume:
-    """Share within a body of whole voxels (nz, ny, nx) and in the partly filled ones next to it; 0 elsewhere."""
+    """Return the body fraction in the voxels of ``body`` (nz, ny, nx) and in partly filled ones next to it; 0 elsewhere."""
     near = np.logical_and(ndi.binary_dilation(body), share.values <= LEVEL)
-    inner = np.where(share.values > LEVEL, share.values, 1.0)  # a hole counts whole
+    inner = np.where(share.values > LEVEL, share.values, 1.0)  # a filled hole belongs to the body completely
     return share.with_values(np.where(body, inner, np.where(near, share.values, 0.0)).astype(np.float32))
 
 
 @dataclass(frozen=True, eq=False)
 class Isosurface:
-    """Points of a surface with its outward normals, dense against what is measured from it.
+    """Surface of a body as a dense set of points with outward normals.
 
     Parameters
     ----------
     points : (n, 3) array [mm]
-        Where lines between neighbouring voxel centres cross the surface.
+        Points at which lines between neighbouring voxel centres cross the surface.
     normals : (n, 3) array
-        Unit vectors out of the body.
+        Outward unit normals.
     share : Volume
-        (nz, ny, nx), smoothed share of the body.
+        (nz, ny, nx), smoothed body fraction.
     """
 
     points: np.ndarray
@@ -157,13 +157,13 @@ class Isosurface:
 
     @cached_property
     def tree(self) -> cKDTree:
-        """Nearest-neighbour search among the points."""
+        """Search tree of the points."""
         return cKDTree(self.points)
 
     def distance(self, x: np.ndarray, reach_mm: float = np.inf) -> np.ndarray:
-        """Signed distance, negative inside: (n, 3) [mm] -> (n,) [mm]; what is farther than ``reach_mm`` is said to be that far.
+        """Return the signed distance of points, negative inside and limited to +-``reach_mm``: (n, 3) [mm] -> (n,) [mm].
 
-        Within two voxels of the surface it is measured to the tangent plane at the nearest point.
+        Within two voxels of the surface it is the distance to the tangent plane at the nearest point.
         """
         away, near = self.tree.query(x, distance_upper_bound=reach_mm)
         sign = np.where(self.share.sample(x) > LEVEL, -1.0, 1.0)
@@ -175,16 +175,16 @@ class Isosurface:
 
 
 def isosurface(share: Volume, smooth_mm: np.ndarray | float = 0.0) -> Isosurface:
-    """Surface where the smoothed share of the body is one half.
+    """Return the surface on which the smoothed body fraction is one half.
 
-    A ball of radius r smoothed over s loses s^2 / r of its radius.
+    Smoothing with standard deviation s shrinks the radius r of a ball by s^2 / r.
 
     Parameters
     ----------
     share : Volume
-        (nz, ny, nx), 0 .. 1.
+        (nz, ny, nx), body fraction 0 .. 1.
     smooth_mm : float or (3,) array [mm]
-        Standard deviation of the smoothing along x, y, z: what is finer is the image's steps, not her shape.
+        Standard deviation of the Gaussian smoothing along x, y, z; it removes the voxel steps of the image.
     """
     voxels = np.broadcast_to(smooth_mm / np.asarray(share.spacing_mm), 3)[::-1]
     u = share.with_values(ndi.gaussian_filter(share.values, voxels, mode="nearest"))
@@ -196,7 +196,7 @@ def isosurface(share: Volume, smooth_mm: np.ndarray | float = 0.0) -> Isosurface
 
 
 def _crossings(u: Volume, axis: int) -> np.ndarray:
-    """Where lines along an array axis cross the level (n, 3) [mm]."""
+    """Return the points at which voxel values, interpolated along an array axis, equal `LEVEL` (n, 3) [mm]."""
     low, high = (np.take(u.values, np.arange(k, u.shape[axis] - 1 + k), axis) for k in (0, 1))
     index = np.nonzero((low > LEVEL) != (high > LEVEL))
     at = np.stack(index, axis=-1).astype(float)
@@ -205,7 +205,7 @@ def _crossings(u: Volume, axis: int) -> np.ndarray:
 
 
 def wall_side(labels: Volume) -> Function | None:
-    """Say of points (n, 3) [mm] of the surface whether chest or air is nearer; None where the labels hold no chest."""
+    """Return a function that is True at surface points (n, 3) [mm] nearer to chest than to air; None without chest labels."""
     if not (labels.values == Label.CHEST).any():
         return None
     kinds = (labels.values == Label.CHEST).astype(np.float32) - (labels.values == Label.AIR)

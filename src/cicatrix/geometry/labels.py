@@ -4,7 +4,7 @@ from enum import IntEnum
 
 
 class Label(IntEnum):
-    """What a voxel is; 0 to 4 are the numbers of imported label maps, 5 marks the body that the breast hangs on."""
+    """Tissue of a voxel: 0 to 4 are the values of imported label maps, 5 is the chest, to which the breast is attached."""
 
     AIR = 0
     FAT = 1
@@ -14,4 +14,4 @@ class Label(IntEnum):
     CHEST = 5
 
 
-TISSUES = (Label.FAT, Label.GLAND, Label.SKIN, Label.TUMOUR)  # the channels of a probability volume, in order
+TISSUES = (Label.FAT, Label.GLAND, Label.SKIN, Label.TUMOUR)  # channels of a probability volume, in this order

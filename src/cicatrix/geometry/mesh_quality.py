@@ -1,4 +1,4 @@
-"""What a tetrahedral mesh of a body must fulfil, measured."""
+"""Quality criteria of a tetrahedral body mesh, and their measurement."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ from .isosurface import Isosurface
 from .meshing import Function
 from .tetrahedra import dihedral_angles, volumes
 
-LEAST_DIHEDRAL_DEG = 8.0
-LARGEST_VOLUME_ERROR = 0.01
-SAMPLES = 12  # points along the edge of a triangle when distances are measured
+MIN_DIHEDRAL_DEG = 8.0
+MAX_VOLUME_ERROR = 0.01
+SAMPLES = 12  # intervals along the edge of a triangle when distances are measured
 
 
 @dataclass(frozen=True)
 class Quality:
-    """Measures of a mesh, each with its limit in `faults`.
+    """Quality measures of a mesh; `faults` compares them with their limits.
 
     Parameters
     ----------
     least_volume : float
         Smallest volume of an element [mm^3].
     least_dihedral_deg : float
-        Smallest angle between two faces of an element.
+        Smallest dihedral angle of an element [degrees].
     volume, body_volume : float
-        Of all elements; of the voxels by their share of body [mm^3].
+        Total volume of the elements, and volume of the segmented body [mm^3].
     skin_distance : float
-        Hausdorff distance of the skin's faces and the segmented skin [mm].
+        Hausdorff distance between the skin faces of the mesh and the segmented skin [mm].
     voxel : float
         Longest edge of a voxel [mm].
     n_pieces : int
-        Parts that share no face.
+        Number of parts that are not connected through faces.
     is_manifold : bool
         Whether each edge of the surface has two faces, and the faces around each of its nodes form one fan.
     """
@@ -51,26 +51,26 @@ class Quality:
 
     @property
     def volume_error(self) -> float:
-        """Relative difference of volume."""
+        """Relative error of the mesh volume [1]."""
         return self.volume / self.body_volume - 1
 
     def faults(self) -> list[str]:
-        """What fails the gate, with values and limits; empty if nothing does."""
+        """Return the criteria that the mesh fails, with values and limits; empty if it passes all."""
         checks = [
             (self.least_volume > 0, f"an element of {self.least_volume:.2g} mm^3 (limit above 0)"),
             (
-                self.least_dihedral_deg >= LEAST_DIHEDRAL_DEG,
-                f"a dihedral angle of {self.least_dihedral_deg:.1f} degrees (at least {LEAST_DIHEDRAL_DEG:g})",
+                self.least_dihedral_deg >= MIN_DIHEDRAL_DEG,
+                f"a dihedral angle of {self.least_dihedral_deg:.1f} degrees (at least {MIN_DIHEDRAL_DEG:g})",
             ),
             (
-                abs(self.volume_error) <= LARGEST_VOLUME_ERROR,
-                f"a volume off by {100 * self.volume_error:+.2f} % (at most {100 * LARGEST_VOLUME_ERROR:g})",
+                abs(self.volume_error) <= MAX_VOLUME_ERROR,
+                f"a volume off by {100 * self.volume_error:+.2f} % (at most {100 * MAX_VOLUME_ERROR:g})",
             ),
             (
                 self.skin_distance <= self.voxel,
                 f"skin {self.skin_distance:.2f} mm off (at most one voxel, {self.voxel:.2f})",
             ),
-            (self.n_pieces == 1, f"{self.n_pieces} pieces (one)"),
+            (self.n_pieces == 1, f"{self.n_pieces} separate pieces (must be one)"),
             (self.is_manifold, "a surface that touches itself"),
         ]
         return [fault for passed, fault in checks if not passed]
@@ -85,21 +85,21 @@ def quality(
     is_skin: Function,
     body_volume: float,
 ) -> Quality:
-    """Measure a mesh.
+    """Measure the quality of a tetrahedral body mesh.
 
     Parameters
     ----------
     nodes, tetrahedra, faces : (n, 3) [mm], (m, 4), (k, 3) array
         Mesh and its outer faces.
     skin : (k,) bool array
-        Which faces are skin.
+        Faces on the skin.
     surfaces : tuple of Isosurface
-        As segmented, and smoothed: from the points of the first on the skin to the mesh, and from the mesh to the second,
-        the greatest distance is measured.
+        Surface as segmented, and smoothed surface. The Hausdorff distance is the larger of the greatest distance from
+        skin points of the first to the mesh, and from the mesh to the second.
     is_skin : callable
-        Says of points (n, 3) [mm] of the first surface which are on the skin (n,).
+        Returns for points (n, 3) [mm] of the first surface whether they are on the skin (n,).
     body_volume : float
-        What the volume is compared with [mm^3].
+        Reference value for the volume [mm^3].
     """
     size = volumes(nodes, tetrahedra)
     segmented, smooth = surfaces
@@ -116,21 +116,21 @@ def quality(
 
 
 def _hausdorff(skin: np.ndarray, segmented: np.ndarray, outer: np.ndarray, smooth: Isosurface) -> float:
-    """Greatest distance from skin triangles (k, 3, 3) to the smooth surface, and of points (n, 3) from the outer triangles."""
+    """Return the larger of two greatest distances [mm]: skin faces to smooth surface, segmented skin points to outer faces."""
     there = np.abs(smooth.distance(_samples(skin))).max(initial=0.0)
     back = cKDTree(_samples(outer)).query(segmented)[0].max(initial=0.0)
     return float(max(there, back))
 
 
 def _samples(triangles: np.ndarray) -> np.ndarray:
-    """Points spread over triangles, corners and edges included: (k, 3, 3) -> (n, 3)."""
+    """Return a regular grid of points on triangles, corners and edges included: (k, 3, 3) -> (n, 3)."""
     i, j = (index.ravel() for index in np.indices((SAMPLES + 1, SAMPLES + 1)))
     weights = np.stack([i, j, SAMPLES - i - j], axis=-1)[i + j <= SAMPLES] / SAMPLES
     return np.einsum("wc,kcd->kwd", weights, triangles).reshape(-1, 3)
 
 
 def n_pieces(elements: np.ndarray) -> int:
-    """Number of parts whose elements are joined by faces: tetrahedra (m, 4) or triangles by edges (m, 3) -> int."""
+    """Return the number of connected parts: tetrahedra (m, 4) joined through faces, or triangles (m, 3) through edges."""
     n_elements, n_corners = elements.shape
     sides = np.concatenate([np.delete(elements, k, axis=1) for k in range(n_corners)])
     _, side = np.unique(np.sort(sides, axis=1), axis=0, return_inverse=True)
@@ -141,7 +141,7 @@ def n_pieces(elements: np.ndarray) -> int:
 
 
 def is_manifold(faces: np.ndarray) -> bool:
-    """Say whether triangles (k, 3) form closed surfaces without edges or nodes at which they touch themselves."""
+    """Check whether triangles (k, 3) form closed surfaces that do not touch themselves at an edge or node."""
     edges = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     _, edge, count = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
     if np.any(count != 2):

@@ -1,4 +1,4 @@
-"""From a level set on pixels to a conforming triangle mesh with a meshed cavity (MMG)."""
+"""Triangle mesh of a section from level sets on pixels, with a conforming meshed cavity (MMG)."""
 
 from __future__ import annotations
 
@@ -10,25 +10,25 @@ import skfem
 from scipy.ndimage import distance_transform_edt, gaussian_filter, label, map_coordinates
 
 from ..core.errors import InputError
-from ..core.posix_signals import kept_signals
+from ..core.posix_signals import restored_signals
 from .section import Raster
 
 INSIDE = 3  # MMG's reference number for the negative side of a level set
-HAUSDORFF_MM = 0.2  # a straight edge leaves the outline by no more: below what an image resolves
+HAUSDORFF_MM = 0.2  # largest distance of straight edges from the outline, below the resolution of an image
 Function = Callable[[np.ndarray], np.ndarray]
 
 
 def signed_distance(mask: np.ndarray, pixel_mm: float, smooth_mm: float = 1.3) -> np.ndarray:
-    """Signed distance to the border of a mask, negative inside: (ny, nx) bool -> (ny, nx) [mm].
+    """Return the smoothed signed distance of each pixel to the border of a mask, negative inside: (ny, nx) bool -> (ny, nx) [mm].
 
-    Smoothed over ``smooth_mm``, about the thickness of skin: what is finer is the image's steps, not her shape.
+    The standard deviation ``smooth_mm`` of the smoothing, about the thickness of skin, removes the pixel steps of the image.
     """
     outside, inside = distance_transform_edt(~mask), distance_transform_edt(mask)
     return pixel_mm * gaussian_filter(np.where(mask, 0.5 - inside, outside - 0.5), smooth_mm / pixel_mm, mode="nearest")  # pyright: ignore[reportOperatorIssue]
 
 
 def component_at(mask: np.ndarray, row: int, column: int) -> np.ndarray:
-    """The connected part of a mask that holds a pixel, or the largest part where the pixel is not in the mask."""
+    """Return the connected component of a mask that contains a pixel, or the largest one if the pixel is not in the mask."""
     parts, n = label(mask)  # pyright: ignore[reportGeneralTypeIssues]
     if n == 0:
         raise InputError("The section holds no breast: choose another image.slice_mm.")
@@ -38,33 +38,33 @@ def component_at(mask: np.ndarray, row: int, column: int) -> np.ndarray:
 
 
 def interpolant(field: np.ndarray, raster: Raster) -> Function:
-    """Linear interpolation of a pixel field: points (n, 2) [mm] -> (n,)."""
+    """Return a function that interpolates a pixel field linearly: points (n, 2) [mm] -> (n,)."""
     return lambda points: map_coordinates(field, raster.index(points), order=1, mode="nearest")
 
 
 def mesh_section(
     body: Function, cavity: Function | None, low: np.ndarray, high: np.ndarray, edge_mm: float, cavity_edge_mm: float
 ) -> skfem.MeshTri:
-    """Mesh {body < 0}, with the border of {cavity < 0} on element edges.
+    """Mesh the region body < 0, with the border of the region cavity < 0 on element edges.
 
     Parameters
     ----------
     body, cavity : callable
         Signed distances [mm] at points (n, 2) [mm]; without a cavity, None.
     low, high : (2,) array [mm]
-        Box that holds the body.
+        Corners of a box that contains the body.
     edge_mm, cavity_edge_mm : float
-        Element edge far from and at the cavity border [mm].
+        Element edge far from and at the border of the cavity [mm].
 
     Returns
     -------
     skfem.MeshTri
-        With the subdomain "cavity".
+        Mesh with the subdomain "cavity".
 
     Raises
     ------
     InputError
-        If nothing of the body or of the cavity is left on the mesh, or an element is degenerate.
+        If the mesh has no body or no cavity, or an element is degenerate.
     """
     start = min(cavity_edge_mm, 1.0)
     points, triangles = _triangular_grid(low - 3 * start, high + 3 * start, start)
@@ -83,7 +83,7 @@ def mesh_section(
 
 
 def label_borders(mesh: skfem.MeshTri, is_wall: Callable[[np.ndarray], np.ndarray]) -> skfem.MeshTri:
-    """Name the outer edges: "wall" where ``is_wall`` says so just outside their midpoints (n, 2) [mm], "skin" elsewhere."""
+    """Name the outer edges "wall" if ``is_wall`` is true at the point (n, 2) [mm] 1 mm outside the midpoint, otherwise "skin"."""
     facets = mesh.boundary_facets()
     ends = mesh.p[:, mesh.facets[:, facets]]
     middle, along = ends.mean(axis=1).T, (ends[:, 1] - ends[:, 0]).T
@@ -95,14 +95,14 @@ def label_borders(mesh: skfem.MeshTri, is_wall: Callable[[np.ndarray], np.ndarra
 
 
 def element_sizes(distance: np.ndarray, edge_mm: float, cavity_edge_mm: float) -> np.ndarray:
-    """Element edge that grows away from the cavity's border: distance (n,) [mm] -> (n,) [mm]."""
+    """Return element edges that grow with the distance from the border of the cavity: distance (n,) [mm] -> (n,) [mm]."""
     return np.clip(
         cavity_edge_mm + 0.2 * np.maximum(np.abs(distance) - 2.0 * cavity_edge_mm, 0.0), cavity_edge_mm, edge_mm
     )
 
 
 def _cut(mesh: mmgpy.MmgMesh2D, level_set: np.ndarray, **options: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    with kept_signals():
+    with restored_signals():
         mesh.remesh_levelset(np.ascontiguousarray(level_set, float)[:, None], verbose=-1, **options)
     triangles, refs = mesh.get_triangles_with_refs()
     return mesh.get_vertices(), triangles, refs
@@ -125,7 +125,7 @@ def _check(points: np.ndarray, triangles: np.ndarray, has_cavity: bool) -> None:
 
 
 def _triangular_grid(low: np.ndarray, high: np.ndarray, edge: float) -> tuple[np.ndarray, np.ndarray]:
-    """Near-equilateral triangles over a box: points (n, 2), triangles (m, 3) int32."""
+    """Fill a box with nearly equilateral triangles of about a given edge [mm]: points (n, 2) [mm], triangles (m, 3) int32."""
     nx, ny = (int(np.ceil(extent)) + 1 for extent in (high - low) / edge / (1.0, 0.866))
     j, i = np.mgrid[:ny, :nx]
     points = np.stack([low[0] + edge * (i + 0.5 * (j % 2)), low[1] + 0.866 * edge * j], axis=-1).reshape(-1, 2)

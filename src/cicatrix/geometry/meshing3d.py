@@ -1,4 +1,4 @@
-"""From a segmented volume to a conforming tetrahedral mesh with a meshed cavity (MMG)."""
+"""Tetrahedral mesh of a segmented body, with a conforming meshed cavity (MMG)."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ import numpy as np
 
 from ..core.errors import InputError
 from .bcc import bcc_lattice
-from .isosurface import Isosurface, Segmented, isosurface, segmented_body, wall_side
+from .isosurface import Isosurface, SegmentedBody, isosurface, segmented_body, wall_side
 from .mesh_quality import Quality, quality
 from .meshing import INSIDE, Function, element_sizes
 from .solid import Solid, fitted, remesh, split
 from .tetrahedra import boundary, used_only
 from .volume import Volume
 
-FINEST = 1 / 6  # voxels smaller than this share of an edge are averaged
-FINENESS = 0.3  # how far an edge may leave the surface, in voxels
-LEAST_CUT = 0.1  # share of an edge that a cut leaves; the nodes are put onto the surface afterwards
-LARGEST_N_CUBES = 300_000  # in the box around the body: one to three million elements
+MIN_VOXEL_SHARE = 1 / 6  # voxels smaller than this fraction of an element edge are averaged
+FINENESS = 0.3  # largest distance of an edge from the surface [voxels]
+MIN_CUT = 0.1  # shortest part of an edge that a cut leaves, as a fraction; nodes are moved to the surface later
+MAX_CUBES = 300_000  # most lattice cubes in the box around the body; results in one to three million elements
 
 
 class Region(IntEnum):
-    """What an element is."""
+    """Region that an element belongs to."""
 
     TISSUE = 0
     CAVITY = 1
 
 
 class Border(IntEnum):
-    """What an outer face is; chest wall and cuts, where the image ends, are held."""
+    """Type of an outer face; nodes on the chest wall and on cuts (faces where the image ends) are constrained."""
 
     SKIN = 1
     WALL = 2
@@ -39,7 +39,7 @@ class Border(IntEnum):
 
 @dataclass(frozen=True, eq=False)
 class BodyMesh:
-    """Tetrahedra that fill the body, with the cavity's border on their faces.
+    """Tetrahedral mesh of the body, with the border of the cavity on element faces.
 
     Parameters
     ----------
@@ -50,13 +50,13 @@ class BodyMesh:
     region : (m,) uint8 array
         `Region` of each element.
     faces : (k, 3) int32 array
-        Outer triangles, seen from outside.
+        Outer faces, counter-clockwise seen from outside.
     marker : (k,) uint8 array
-        `Border` of each of them.
+        `Border` of each outer face.
     quality : Quality
-        What the gate measured.
+        Measured quality of the mesh.
     notes : tuple of str
-        What was left out, filled, or tried before.
+        Messages that say what was left out or filled, and which attempts failed before.
     """
 
     nodes: np.ndarray
@@ -68,25 +68,25 @@ class BodyMesh:
     notes: tuple[str, ...]
 
     @property
-    def held_nodes(self) -> np.ndarray:
-        """Nodes on the chest wall and on cuts (n,)."""
+    def constrained_nodes(self) -> np.ndarray:
+        """Constrained nodes: those on the chest wall and on cuts (n,)."""
         return np.unique(self.faces[self.marker != Border.SKIN])
 
 
 @dataclass(frozen=True)
 class Attempt:
-    """How the surface is taken from the voxels.
+    """Settings of one attempt to mesh the body.
 
     Parameters
     ----------
     smooth_mm : float
-        Smoothing of the share of the body [mm]; no less than `LEAST_SMOOTHING` voxels along each axis.
+        Standard deviation of the smoothing of the body fraction [mm]; at least `MIN_SMOOTHING` voxels along each axis.
     lattice_share : float
-        Edge of the lattice that is cut, as a share of the elements' edge.
+        Edge of the initial lattice, which is cut at the surface, as a fraction of the element edge.
     n_rounds : int
-        How often it is remeshed, 2 or more; the cavity is cut before the last.
+        Number of remeshing rounds, 2 or more; the cavity is cut before the last one.
     thin_share : float
-        Parts thinner than this share of an edge are left out.
+        Parts thinner than this fraction of an element edge are left out.
     """
 
     smooth_mm: float
@@ -95,20 +95,20 @@ class Attempt:
     thin_share: float
 
 
-LEAST_SMOOTHING = 0.8  # voxels
+MIN_SMOOTHING = 0.8  # lower limit of the smoothing [voxels]
 ATTEMPTS = (Attempt(0.0, 1.0, 2, 2 / 3), Attempt(1.3, 0.7, 2, 1.0), Attempt(0.0, 0.5, 3, 2 / 3))
 
 
 @dataclass(frozen=True)
 class _Edges:
-    """Element edges [mm], and the cavity that they are fine at."""
+    """Required element edges [mm]: ``far`` from the cavity and ``near`` its border."""
 
     far: float
     near: float
     cavity: Function | None
 
     def at(self, points: np.ndarray) -> np.ndarray:
-        """Edge at points (n, 3) -> (n,) [mm]."""
+        """Return the element edge at points (n, 3) -> (n,) [mm]."""
         if self.cavity is None:
             return np.full(len(points), self.far)
         return element_sizes(self.cavity(points), self.far, self.near)
@@ -124,42 +124,43 @@ def mesh_body(
 ) -> BodyMesh:
     """Mesh the breast of a label map.
 
-    A lattice of tetrahedra is cut at the smoothed surface of the body, remeshed, and its outer nodes are put onto the
-    surface; the same is done at the cavity's border. What fails the gate is tried again with the next of `ATTEMPTS`.
+    A lattice of tetrahedra is cut at the smoothed surface of the body and remeshed, and its outer nodes are moved onto the
+    surface; the same is done at the border of the cavity. A mesh that fails the quality criteria is made again with the
+    settings of the next of `ATTEMPTS`.
 
     Parameters
     ----------
     labels : Volume
         (nz, ny, nx) of `Label`.
     edge_mm, cavity_edge_mm : float
-        Element edge far from and at the cavity's border [mm].
+        Element edge far from and at the border of the cavity [mm].
     tissue : Volume, optional
-        Share 0 .. 1 of tissue in each voxel, on the grid of the labels.
+        Tissue fraction 0 .. 1 of each voxel, on the grid of the labels.
     cavity : callable, optional
-        Signed distance [mm] to the cavity's border at points (n, 3) [mm], negative in it.
+        Signed distance [mm] to the border of the cavity at points (n, 3) [mm], negative inside.
 
     Raises
     ------
     InputError
-        Labels without a breast, a body that is held nowhere, too thin, or too small for these edges, a cavity that is not
-        within it, or a mesh that fails the gate in every attempt.
+        If the labels have no breast; if the body is not supported anywhere, too thin or too large for these edges; if
+        the cavity is not inside the body; or if the mesh fails the quality criteria in every attempt.
     """
     edges = _checked(edge_mm, cavity_edge_mm, cavity)
     is_wall, failed = wall_side(labels), []
     for attempt in ATTEMPTS:
         thin = attempt.thin_share * edge_mm
-        body = segmented_body(labels, tissue, finest_mm=FINEST * edge_mm, thin_mm=thin)
+        body = segmented_body(labels, tissue, finest_mm=MIN_VOXEL_SHARE * edge_mm, thin_mm=thin)
         try:
             mesh = _attempt(body, is_wall, edges, attempt, (*body.notes, *failed))
-        except RuntimeError as error:  # MMG's own word
+        except RuntimeError as error:  # raised by MMG
             failed.append(f"{attempt}: {error}")
             continue
         if not (faults := mesh.quality.faults()):
             return mesh
         failed.append(f"{attempt}: {', '.join(faults)}")
     raise InputError(
-        f"The body has no good mesh with mesh.edge_mm = {edge_mm:g}, choose a smaller edge or smoother labels; "
-        f"tried {len(failed)} times, the last with {failed[-1].partition(': ')[2]}."
+        f"The body could not be meshed well with mesh.edge_mm = {edge_mm:g}: choose a smaller edge or smoother labels "
+        f"(tried {len(failed)} times, the last with {failed[-1].partition(': ')[2]})."
     )
 
 
@@ -171,11 +172,11 @@ def _checked(edge_mm: float, cavity_edge_mm: float, cavity: Function | None) -> 
 
 
 def _attempt(
-    segmented: Segmented, is_wall: Function | None, edges: _Edges, attempt: Attempt, notes: tuple[str, ...]
+    segmented: SegmentedBody, is_wall: Function | None, edges: _Edges, attempt: Attempt, notes: tuple[str, ...]
 ) -> BodyMesh:
-    """Mesh once and measure."""
+    """Mesh the body with the settings of one attempt and measure the quality of the mesh."""
     share = segmented.share
-    surface = isosurface(share, np.maximum(attempt.smooth_mm, LEAST_SMOOTHING * np.asarray(share.spacing_mm)))
+    surface = isosurface(share, np.maximum(attempt.smooth_mm, MIN_SMOOTHING * np.asarray(share.spacing_mm)))
     hausdorff = FINENESS * max(share.spacing_mm)
     body = _cut_lattice(surface, edges.far, attempt.lattice_share * edges.far)
     body = remesh(body, edges.at(body.nodes), hausdorff)
@@ -192,11 +193,11 @@ def _attempt(
 
 
 def _cut_lattice(surface: Isosurface, edge: float, lattice_edge: float) -> Solid:
-    """Cut the lattice at the surface: what is inside, with flat faces where the image ends."""
+    """Return the part of a tetrahedral lattice inside the surface, cut there, with flat faces where the image ends."""
     box, reach = _box(surface, lattice_edge), 2 * max(lattice_edge, *surface.share.spacing_mm)
     n_cubes = float(np.prod((box[1] - box[0]) / edge))
-    if n_cubes > LARGEST_N_CUBES:
-        least = edge * np.cbrt(n_cubes / LARGEST_N_CUBES)
+    if n_cubes > MAX_CUBES:
+        least = edge * np.cbrt(n_cubes / MAX_CUBES)
         raise InputError(f"mesh.edge_mm must be at least {least:.2g} mm for a body of this size; got {edge:g}.")
     nodes, tetrahedra = bcc_lattice(box[0], box[1], lattice_edge)
     level = surface.distance(nodes, reach)
@@ -204,7 +205,7 @@ def _cut_lattice(surface: Isosurface, edge: float, lattice_edge: float) -> Solid
         raise InputError(
             f"mesh.edge_mm must be smaller for this body, which is only about {-2 * level.min():.0f} mm thick; got {edge:g}."
         )
-    least = LEAST_CUT * lattice_edge
+    least = MIN_CUT * lattice_edge
     level = np.copysign(np.maximum(np.abs(level), least), level)
     touching = tetrahedra[(level[tetrahedra] < 0).any(axis=1)]
     level = level[np.unique(touching)]
@@ -215,7 +216,7 @@ def _cut_lattice(surface: Isosurface, edge: float, lattice_edge: float) -> Solid
 
 
 def _box(surface: Isosurface, margin: float) -> np.ndarray:
-    """Corners (2, 3) [mm] of a box around the body that ends where the image ends."""
+    """Return the low and high corner (2, 3) [mm] of a box around the body, enlarged by a margin [mm] but within the image."""
     half = 0.5 * np.asarray(surface.share.spacing_mm)
     nz, ny, nx = surface.share.shape
     first, last = surface.share.position(np.array([[0, 0, 0], [nz - 1, ny - 1, nx - 1]]))
@@ -225,18 +226,18 @@ def _box(surface: Isosurface, margin: float) -> np.ndarray:
 
 
 def _fitted_skin(body: Solid, surface: Isosurface, by_face: bool = False) -> Solid:
-    """Put the outer nodes onto the surface; those where the image ends stay there."""
+    """Move the outer nodes onto the surface, as in `fitted`; nodes on a face of the image stay in its plane."""
     return fitted(body, _free_faces(body), surface.distance, by_face=by_face)
 
 
 def _free_faces(body: Solid) -> np.ndarray:
-    """Outer faces (k, 3) that do not lie where the image ends."""
+    """Return the outer faces (k, 3) that do not lie on the boundary of the image."""
     faces = boundary(body.tetrahedra)
     return faces[~body.is_flat(faces)]
 
 
 def _edge_for(body: Solid, surface: Isosurface, limit_mm: float) -> np.ndarray:
-    """Edge (n,) [mm] with which the outer faces would leave the surface by no more than the limit."""
+    """Return the element edge at each node (n,) [mm] for which outer faces deviate from the surface by the limit; inf inside."""
     faces = _free_faces(body)
     corners = body.nodes[faces]
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
@@ -248,7 +249,7 @@ def _edge_for(body: Solid, surface: Isosurface, limit_mm: float) -> np.ndarray:
 
 
 def _level_in(body: Solid, cavity: Function) -> np.ndarray:
-    """Distance to the cavity's border at the nodes (n,) [mm], checked to lie within the body."""
+    """Return the signed distance to the border of the cavity at the nodes (n,) [mm]; check that the cavity is inside the body."""
     level = cavity(body.nodes)
     if not (level < 0).any():
         raise InputError("The cavity lies outside the body: move resection.centre_mm inside the breast.")
@@ -260,9 +261,9 @@ def _level_in(body: Solid, cavity: Function) -> np.ndarray:
 
 
 def _measured(
-    body: Solid, surface: Isosurface, segmented: Segmented, is_wall: Function | None, notes: tuple[str, ...]
+    body: Solid, surface: Isosurface, segmented: SegmentedBody, is_wall: Function | None, notes: tuple[str, ...]
 ) -> BodyMesh:
-    """Mark the outer faces and measure."""
+    """Return the finished mesh, with marked outer faces and measured quality."""
     faces = boundary(body.tetrahedra)
     marker = np.where(body.is_flat(faces), Border.CUT, Border.SKIN).astype(np.uint8)
 
@@ -272,7 +273,7 @@ def _measured(
     marker[(marker == Border.SKIN) & ~on_skin(body.nodes[faces].mean(axis=1))] = Border.WALL
     if (marker == Border.SKIN).all():
         raise InputError(
-            "labels: the breast touches neither chest wall (5) nor the image's edge, so that nothing holds it."
+            "labels: the breast touches neither chest wall (5) nor the image's edge, so that nothing supports it."
         )
     skin = marker == Border.SKIN
     measures = quality(

@@ -1,4 +1,4 @@
-"""A plane cut through patient space and its own axes."""
+"""Plane section through patient space, with its own coordinate axes."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ import numpy as np
 from ..core.errors import InputError
 from .volume import Volume
 
-# first axis, second axis, normal of each plane, as LPS axes (x left, y posterior, z superior); right-handed
+# plane -> LPS axes (x left, y posterior, z superior) of its first axis, second axis and normal; right-handed
 PLANES = {"axial": (0, 1, 2), "sagittal": (1, 2, 0)}
 AXIS_NAMES = ("left", "posterior", "superior")
 
 
 @dataclass(frozen=True)
 class Section:
-    """A plane at a position along its normal; section coordinates are LPS coordinates in another order [mm].
+    """Axial or sagittal plane; its section coordinates are LPS coordinates in another order [mm].
 
     Parameters
     ----------
     plane : "axial" or "sagittal"
-        Which LPS axes span the plane.
+        Orientation of the plane.
     position_mm : float
         LPS coordinate along the normal [mm].
     """
@@ -35,12 +35,12 @@ class Section:
 
     @property
     def axes(self) -> tuple[int, int, int]:
-        """LPS axis numbers of first axis, second axis and normal."""
+        """Indices of the LPS axes along which the section's first axis, second axis and normal lie."""
         return PLANES[self.plane]
 
     @property
     def axis_labels(self) -> tuple[str, str]:
-        """What to write on the two axes of a figure."""
+        """Labels of the two axes of a figure."""
         a, b, _ = self.axes
         return f"{AXIS_NAMES[a]} [mm]", f"{AXIS_NAMES[b]} [mm]"
 
@@ -49,13 +49,13 @@ class Section:
         return np.asarray(vectors, float)[..., list(self.axes)]
 
     def to_patient(self, points: np.ndarray) -> np.ndarray:
-        """Points of the plane in section coordinates (..., 2) [mm] -> LPS (..., 3) [mm]."""
+        """Convert points of the plane from section coordinates (..., 2) [mm] to LPS (..., 3) [mm]."""
         out = np.full((*np.shape(points)[:-1], 3), self.position_mm, float)
         out[..., list(self.axes[:2])] = points
         return out
 
     def raster(self, volume: Volume, pixel_mm: float) -> Raster:
-        """Pixel grid that covers the volume's extent in this plane.
+        """Return a pixel grid that covers the volume's extent in this plane.
 
         Raises
         ------
@@ -78,7 +78,17 @@ class Section:
 
 @dataclass(frozen=True)
 class Raster:
-    """Square pixels in section coordinates."""
+    """Grid of square pixels in section coordinates.
+
+    Parameters
+    ----------
+    origin_mm : (2,) tuple [mm]
+        Centre of the first pixel along the section's first and second axis.
+    pixel_mm : float
+        Pixel edge [mm].
+    shape : (2,) tuple of int
+        Number of pixels along the second and the first axis.
+    """
 
     origin_mm: tuple[float, float]
     pixel_mm: float
@@ -93,12 +103,12 @@ class Raster:
 
     @property
     def extent(self) -> tuple[float, float, float, float]:
-        """Left, right, bottom, top for a picture with the second axis downward [mm]."""
+        """Coordinates of the raster's left, right, bottom and top border in a figure whose second axis points down [mm]."""
         h = 0.5 * self.pixel_mm
         (x0, y0), (ny, nx) = self.origin_mm, self.shape
         return x0 - h, x0 + (nx - 0.5) * self.pixel_mm, y0 + (ny - 0.5) * self.pixel_mm, y0 - h
 
     def index(self, points: np.ndarray) -> np.ndarray:
-        """Fractional (row, column) of points (..., 2) [mm] -> (2, ...)."""
+        """Return the fractional pixel row and column at points: (..., 2) [mm] -> (2, ...) [1]."""
         p = (np.asarray(points, float) - self.origin_mm) / self.pixel_mm
         return np.stack([p[..., 1], p[..., 0]])

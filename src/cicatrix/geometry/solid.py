@@ -1,4 +1,4 @@
-"""A tetrahedral mesh in the making: cut by a level set, remeshed (both MMG), fitted onto a surface."""
+"""Tetrahedral mesh under construction: cutting by a level set and remeshing (both by MMG), and fitting to a surface."""
 
 from __future__ import annotations
 
@@ -7,20 +7,20 @@ from dataclasses import dataclass, replace
 import mmgpy
 import numpy as np
 
-from ..core.posix_signals import kept_signals
+from ..core.posix_signals import restored_signals
 from .meshing import INSIDE, Function
 from .tetrahedra import area_vectors, boundary, dihedral_angles, oriented, used_only, volumes
 
 SPLIT_ONLY = {"noinsert": True, "noswap": True, "nomove": True}
-GRADATION = 1.3  # edges that meet differ by no more than this factor
-LEAST_ANGLE_DEG = 15.0  # dihedral angle that fitting leaves an element, or what it had if that was less
-STEP_MM = 1e-3  # of the differences that give a distance's gradient
-BOX_REF = 20  # MMG's reference number of triangles on the first face of the box; 0 to 10 are its own
+GRADATION = 1.3  # largest ratio of adjacent edges
+MIN_ANGLE_DEG = 15.0  # fitting does not reduce a dihedral angle below this, or below the initial one if smaller
+STEP_MM = 1e-3  # step of the central differences for the gradient of a distance
+BOX_REF = 20  # MMG reference number of triangles on the first face of the box; MMG itself uses 0 to 10
 
 
 @dataclass(frozen=True, eq=False)
 class Solid:
-    """Tetrahedra, and which of their faces lie on the box around the image.
+    """Tetrahedral mesh under construction, with those of its faces that lie on the bounding box of the image.
 
     Parameters
     ----------
@@ -28,13 +28,13 @@ class Solid:
     tetrahedra : (m, 4) int32 array
         Positively oriented.
     refs : (m,) int32 array
-        `INSIDE` where the last level set is negative.
+        MMG reference of each tetrahedron: `INSIDE` where the last level set is negative.
     flat : (k, 3) int32 array
         Triangles on the box.
     flat_refs : (k,) int32 array
-        `BOX_REF`, plus 0 to 2 on the low x, y, z faces of the box and 3 to 5 on the high ones.
+        `BOX_REF` plus the face of the box: 0 to 2 for the low x, y, z faces, 3 to 5 for the high ones.
     box : (2, 3) array [mm]
-        Low and high corner.
+        Low and high corner of the box.
     """
 
     nodes: np.ndarray
@@ -45,13 +45,13 @@ class Solid:
     box: np.ndarray
 
     def inside(self) -> Solid:
-        """Keep what is inside the level set."""
+        """Return the part of the mesh that is inside the level set."""
         nodes, tetrahedra = used_only(self.nodes, self.tetrahedra[self.refs == INSIDE])
         refs = np.zeros(len(tetrahedra), np.int32)
         return replace(self, nodes=nodes, tetrahedra=tetrahedra, refs=refs)
 
     def with_flat_faces(self) -> Solid:
-        """Find the triangles on the box by their position."""
+        """Return the mesh with ``flat`` and ``flat_refs`` set to the outer faces that lie on the box."""
         faces = boundary(self.tetrahedra)
         hit = np.isclose(self.nodes[faces][:, :, None], self.box, rtol=0, atol=1e-6).all(axis=1).reshape(-1, 6)
         on_box = hit.any(axis=1)
@@ -59,13 +59,13 @@ class Solid:
         return replace(self, flat=faces[on_box].astype(np.int32), flat_refs=refs)
 
     def is_flat(self, faces: np.ndarray) -> np.ndarray:
-        """Which outer faces (k, 3) lie on the box (k,)."""
+        """Check which of the outer faces (k, 3) lie on the box: (k,) bool."""
         _, group = np.unique(np.sort(np.concatenate([self.flat, faces]), axis=1), axis=0, return_inverse=True)
         group = group.ravel()
         return np.isin(group[len(self.flat) :], group[: len(self.flat)])
 
     def free(self) -> np.ndarray:
-        """Directions in which nodes may move (n, 3) of 0 or 1: those on the box stay on it."""
+        """Return 1 where a node may move along an axis, otherwise 0 (n, 3): nodes on a face of the box stay on that face."""
         out = np.ones_like(self.nodes)
         for ref in np.unique(self.flat_refs):
             out[self.flat[self.flat_refs == ref].ravel(), (ref - BOX_REF) % 3] = 0
@@ -73,27 +73,29 @@ class Solid:
 
 
 def split(solid: Solid, level: np.ndarray) -> Solid:
-    """Cut elements where the level set (n,) is zero, and say which are inside."""
+    """Cut elements where the level set (n,) is zero, and mark those inside in ``refs``."""
     mesh = _mmg(solid)
-    with kept_signals():
+    with restored_signals():
         mesh.remesh_levelset(np.ascontiguousarray(level, float)[:, None], verbose=-1, **SPLIT_ONLY)
     return _solid(mesh, solid.box)
 
 
 def remesh(solid: Solid, size: np.ndarray, hausdorff_mm: float) -> Solid:
-    """Remesh to the edge ``size`` (n,) [mm] at each node; borders between refs stay."""
+    """Remesh to the edge length ``size`` (n,) [mm] at the nodes; borders between regions are preserved."""
     mesh = _mmg(solid)
     mesh["metric"] = np.ascontiguousarray(size, float)[:, None]
     limits = {"hmin": 0.3 * float(size.min()), "hmax": float(size.max())}
-    with kept_signals():
+    with restored_signals():
         mesh.remesh(verbose=-1, hausd=hausdorff_mm, hgrad=GRADATION, **limits)
     return _solid(mesh, solid.box)
 
 
 def fitted(solid: Solid, faces: np.ndarray, distance: Function, *, by_face: bool = False) -> Solid:
-    """Move the nodes of some faces (k, 3) onto a surface, or, ``by_face``, so that the faces lie half in and half out.
+    """Return the mesh with the nodes of given faces (k, 3) moved onto the surface on which ``distance`` [mm] is zero.
 
-    Where an element would get angles below `LEAST_ANGLE_DEG`, its nodes go half the way, or a quarter, ...
+    With ``by_face`` the nodes are moved until the faces around each node have a mean distance of about zero instead.
+    If an element would get a dihedral angle below `MIN_ANGLE_DEG` (or below its angle before, if smaller), the displacements
+    of its nodes are halved up to six times, and set to zero if that is not enough.
     """
     at = np.unique(faces)
     off = _mean_distance(solid.nodes, faces, distance)[at] if by_face else distance(solid.nodes[at])
@@ -105,9 +107,9 @@ def fitted(solid: Solid, faces: np.ndarray, distance: Function, *, by_face: bool
 
 
 def _damped(solid: Solid, move: np.ndarray) -> np.ndarray:
-    """Halve moves (n, 3) [mm] of nodes until no element gets worse than it may."""
+    """Return displacements (n, 3) [mm], reduced as in `fitted` at nodes of elements that would get too small an angle."""
     moved = solid.tetrahedra[(move != 0).any(axis=1)[solid.tetrahedra].any(axis=1)]
-    least = np.minimum(_worst_angle(solid.nodes, moved), LEAST_ANGLE_DEG)
+    least = np.minimum(_worst_angle(solid.nodes, moved), MIN_ANGLE_DEG)
     for _ in range(6):
         bad = _worst_angle(solid.nodes + move, moved) < least
         if not bad.any():
@@ -117,13 +119,13 @@ def _damped(solid: Solid, move: np.ndarray) -> np.ndarray:
 
 
 def _worst_angle(nodes: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Smallest dihedral angle (m,) [degrees], negative where inverted."""
+    """Return the smallest dihedral angle of each element (m,) [degrees]; -1 for an inverted element."""
     angle = dihedral_angles(nodes, tetrahedra).min(axis=1)
     return np.where(volumes(nodes, tetrahedra) > 0, angle, -1.0)
 
 
 def _mean_distance(nodes: np.ndarray, faces: np.ndarray, distance: Function) -> np.ndarray:
-    """Mean over the faces (k, 3) around each node, by area (n,) [mm]; exact where the distance is quadratic."""
+    """Return the area-weighted mean distance of the faces (k, 3) around each node (n,) [mm]; exact for a quadratic distance."""
     corners = nodes[faces]
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
     off = distance(middles.reshape(-1, 3)).reshape(-1, 3).mean(axis=1)
@@ -135,7 +137,7 @@ def _mean_distance(nodes: np.ndarray, faces: np.ndarray, distance: Function) -> 
 
 
 def _gradient(distance: Function, points: np.ndarray) -> np.ndarray:
-    """Central differences (n, 3)."""
+    """Return the gradient (n, 3) of a distance at points (n, 3) [mm], by central differences."""
     steps = STEP_MM * np.eye(3)
     return np.stack([distance(points + h) - distance(points - h) for h in steps], axis=-1) / (2 * STEP_MM)
 

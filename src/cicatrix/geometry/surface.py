@@ -10,20 +10,20 @@ from scipy.spatial import ConvexHull, cKDTree
 
 from .tetrahedra import area_vectors
 
-CANDIDATES = 8  # triangles looked at first for each point; then twice as many, as long as a nearer one could be beyond
-AT_ONCE = 2**22  # numbers in a work array
+CANDIDATES = 8  # triangles tested first for each point; doubled until no untested triangle can be nearer
+AT_ONCE = 2**22  # largest number of entries in a work array
 
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """A closed surface, its triangles seen from outside.
+    """Closed surface of triangles.
 
     Parameters
     ----------
     points : (n, 3) array [mm]
-        Of which the surface may use some.
+        Points; the surface need not use all of them.
     triangles : (k, 3) int array
-        Corners, counter-clockwise from outside.
+        Corners of the triangles, counter-clockwise seen from outside.
     """
 
     points: np.ndarray
@@ -31,21 +31,21 @@ class Surface:
 
     @cached_property
     def volume(self) -> float:
-        """Volume inside, by the divergence theorem [mm^3]."""
+        """Volume enclosed by the surface, by the divergence theorem [mm^3]."""
         a, b, c = (self.points - self.points[self.triangles[0, 0]])[self.triangles].transpose(1, 0, 2)
         return float(np.einsum("ki,ki->", a, np.cross(b, c)) / 6.0)
 
     def node_areas(self, chosen: np.ndarray) -> np.ndarray:
-        """Area that belongs to each point (n,) [mm^2]: a third of each of the chosen (k,) triangles around it."""
+        """Return the area of each point (n,) [mm^2]: a third of the area of the chosen (k,) triangles around it."""
         triangles = self.triangles[chosen]
         area = np.linalg.norm(area_vectors(self.points, triangles), axis=1) / 3.0
         return np.bincount(triangles.ravel(), np.repeat(area, 3), len(self.points))
 
     def inward(self, points: np.ndarray) -> np.ndarray:
-        """Distance of points (m, 3) from the surface (m,) [mm], positive inside.
+        """Return the signed distance of points (m, 3) from the surface (m,) [mm], positive inside.
 
-        The side is that of the pseudonormal at the nearest point: of the face, both faces of the edge, or all around the
-        corner, weighted by their angles (Baerentzen & Aanaes 2005).
+        The sign comes from the pseudonormal at the nearest point: the normal of the face, the sum over both faces of an
+        edge, or the angle-weighted sum over all faces around a corner (Baerentzen & Aanaes 2005).
         """
         triangle, weights = self.nearest(points)
         foot = np.einsum("mc,mci->mi", weights, self.points[self.triangles[triangle]])
@@ -54,9 +54,9 @@ class Surface:
         return np.where(np.einsum("mi,mi->m", points - foot, normal) > 0.0, -away, away)
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Find the nearest place of the surface: points (m, 3) -> triangle (m,), weights of its corners (m, 3).
+        """Find the nearest point of the surface: points (m, 3) -> triangle (m,), barycentric weights (m, 3).
 
-        Exact: the search among the centres of triangles widens until those beyond are too far off, whatever their size.
+        The result is exact: the search over triangle centres widens until no other triangle can be nearer.
         """
         tree, reach = self._centres
         triangle, weights = np.zeros(len(points), int), np.zeros((len(points), 3))
@@ -73,7 +73,7 @@ class Surface:
         return triangle, weights
 
     def depth_below_hull(self, points: np.ndarray) -> np.ndarray:
-        """Distance from the convex hull of the surface: points (m, 3) in it -> (m,) [mm]."""
+        """Return the depth of points below the convex hull of the surface: points (m, 3) inside it -> (m,) [mm]."""
         equations = ConvexHull(self.points[np.unique(self.triangles)]).equations
         rows = max(1, AT_ONCE // len(equations))
         parts = [points[i : i + rows] @ equations[:, :3].T + equations[:, 3] for i in range(0, len(points), rows)]
@@ -81,20 +81,20 @@ class Surface:
 
     @cached_property
     def _centres(self) -> tuple[cKDTree, float]:
-        """Centres of the triangles, and how far a corner is from its centre at most [mm]."""
+        """Search tree of the triangle centres, and the largest distance of a corner from its centre [mm]."""
         corners = self.points[self.triangles]
         centres = corners.mean(axis=1)
         return cKDTree(centres), float(np.linalg.norm(corners - centres[:, None], axis=2).max())
 
     @cached_property
     def _normals(self) -> np.ndarray:
-        """Unit normals (k, 3)."""
+        """Outward unit normals of the triangles (k, 3)."""
         normals = area_vectors(self.points, self.triangles)
         return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
     @cached_property
     def _corner_normals(self) -> np.ndarray:
-        """Pseudonormals of the points (n, 3), by the angles of the triangles around."""
+        """Pseudonormals of the points (n, 3): the normals of the adjacent triangles, weighted by their angles."""
         corners = self.points[self.triangles]
         one, other = (np.roll(corners, shift, axis=1) - corners for shift in (-1, 1))
         cosine = np.einsum("kci,kci->kc", one, other) / np.maximum(
@@ -107,7 +107,7 @@ class Surface:
 
     @cached_property
     def _edge_normals(self) -> np.ndarray:
-        """Pseudonormals of the sides opposite to the corners (k, 3, 3): the sum of both faces' normals."""
+        """Pseudonormals of the edges opposite to the corners (k, 3, 3): the sum of the normals of both faces."""
         sides = np.sort(self.triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
         _, number = np.unique(sides, axis=0, return_inverse=True)
         total = np.zeros((number.max() + 1, 3))
@@ -122,9 +122,9 @@ class Surface:
 
 
 def _closest(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance from points (m, 1, 3) to triangles (m, k, 3, 3) [mm], and the weights (m, k, 3) of the nearest place in each.
+    """Return distances of points (m, 1, 3) to triangles (m, k, 3, 3) [mm], and the nearest points' barycentric weights (m, k, 3).
 
-    The nearest place of the plane if it lies within, else the nearest of the three sides'.
+    The nearest point is the projection onto the triangle's plane if that lies inside the triangle, otherwise a point of an edge.
     """
     a, b, c = np.moveaxis(corners, -2, 0)
     ab, ac, ap = b - a, c - a, points - a

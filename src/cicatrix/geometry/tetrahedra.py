@@ -1,4 +1,4 @@
-"""Meshes of tetrahedra: volumes, angles, middles of edges, boundary, and what a mesh must be to carry a body."""
+"""Tetrahedral meshes: volumes, angles, midside nodes, boundary faces, and checks of an imported mesh."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from scipy.sparse.csgraph import connected_components
 
 from ..core.errors import InputError
 
-EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # corners of a tetrahedron, in the order of its middle nodes
-FACES = np.array(  # of a tetrahedron, outward: corners, then the middles of their edges 01, 12, 02
+EDGES = ((0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3))  # edges of a tetrahedron, in the order of its midside nodes
+FACES = np.array(  # outward faces of a tetrahedron: corners, then the midside nodes of their edges 01, 12, 02
     [[0, 2, 1, 6, 5, 4], [0, 1, 3, 4, 8, 7], [1, 2, 3, 5, 9, 8], [0, 3, 2, 7, 9, 6]]
 )
-OPPOSITE = [2, 3, 1, 0]  # numbers of the faces that lie opposite to corners 0 to 3
-FLAT = 1e-6  # volume over the cube of the longest edge: below that a tetrahedron is none (a regular one has 0.118)
-TURNED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]  # the same tetrahedron seen in a mirror
+OPPOSITE = [2, 3, 1, 0]  # indices of the faces opposite to corners 0 to 3
+FLAT = 1e-6  # a tetrahedron is flat if its volume over its longest edge cubed is below this (regular: 0.118)
+TURNED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]  # node order that reverses the orientation of a tetrahedron
 
 
 def with_middles(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Add the middle of every edge as a node: (n, 3) [mm], (m, 4) -> (n + n_edges, 3) [mm], (m, 10); the given stay first."""
+    """Add the midpoint of every edge as a node: (n, 3) [mm], (m, 4) -> (n + n_edges, 3) [mm], (m, 10); given nodes stay first."""
     pairs = np.sort(tetrahedra[:, EDGES].reshape(-1, 2), axis=1)
     edges, number = np.unique(pairs, axis=0, return_inverse=True)
     middles = len(points) + number.reshape(-1, len(EDGES))
@@ -28,26 +28,29 @@ def with_middles(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray
 
 
 def volumes(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Signed volume by the corners: (n, 3) [mm], (m, 4 or 10) -> (m,) [mm^3]."""
+    """Return the signed volumes from the corner nodes: (n, 3) [mm], (m, 4 or 10) -> (m,) [mm^3]."""
     a, b, c, d = np.moveaxis(points[tetrahedra[:, :4]], 1, 0)
     return np.einsum("ei,ei->e", np.cross(b - a, c - a), d - a) / 6.0
 
 
 def boundary(tetrahedra: np.ndarray) -> np.ndarray:
-    """Nodes of the faces that belong to one tetrahedron only, outward: (m, 4) -> (n_faces, 3), (m, 10) -> (n_faces, 6)."""
+    """Return the nodes of the boundary faces, outward: (m, 4) -> (n_faces, 3), (m, 10) -> (n_faces, 6)."""
     return owned_boundary(tetrahedra)[0]
 
 
 def owned_boundary(tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The faces of :func:`boundary`, and the tetrahedron of each (n_faces,)."""
+    """Return the faces of :func:`boundary`, and the index of the tetrahedron to which each face belongs (n_faces,)."""
     faces = tetrahedra[:, FACES[:, : 3 if tetrahedra.shape[1] == 4 else 6]].reshape(4 * len(tetrahedra), -1)
-    _, first, count = np.unique(np.sort(faces[:, :3]), axis=0, return_index=True, return_counts=True)
-    rows = np.sort(first[count == 1])
+    corners = np.sort(faces[:, :3])
+    order = np.lexsort(corners.T)
+    is_new = np.ones(len(order) + 1, bool)  # whether the corners differ from those of the previous face
+    is_new[1:-1] = (corners[order[1:]] != corners[order[:-1]]).any(axis=1)
+    rows = np.sort(order[is_new[:-1] & is_new[1:]])
     return faces[rows], rows // 4
 
 
 def neighbours(tetrahedra: np.ndarray) -> np.ndarray:
-    """Tetrahedra that share a face: (m, 4 or 10) -> (2, n_inner_faces)."""
+    """Return the pairs of tetrahedra that share a face: (m, 4 or 10) -> (2, n_inner_faces)."""
     faces = np.sort(tetrahedra[:, FACES[:, :3]].reshape(-1, 3), axis=1)
     order = np.lexsort(faces.T)
     same = (faces[order[1:]] == faces[order[:-1]]).all(axis=1)
@@ -55,13 +58,13 @@ def neighbours(tetrahedra: np.ndarray) -> np.ndarray:
 
 
 def unmirrored(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Turn a mesh that is written as its mirror image; other meshes stay as they are: (m, 4 or 10) -> the same."""
+    """Reverse the node order of all tetrahedra if all have negative volume (a mirrored mesh): (m, 4 or 10) -> the same."""
     all_turned = (volumes(points, tetrahedra) < 0.0).all()
     return tetrahedra[:, TURNED[: tetrahedra.shape[1]]] if all_turned else tetrahedra
 
 
 def oriented(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Swap two corners wherever the volume is negative: (m, 4) -> (m, 4)."""
+    """Swap two corners of each tetrahedron with negative volume: (m, 4) -> (m, 4)."""
     return np.where(volumes(points, tetrahedra)[:, None] < 0, tetrahedra[:, [0, 1, 3, 2]], tetrahedra)
 
 
@@ -72,13 +75,13 @@ def used_only(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, n
 
 
 def area_vectors(points: np.ndarray, triangles: np.ndarray) -> np.ndarray:
-    """Normals as long as the area: (n, 3) [mm], (m, 3) -> (m, 3) [mm^2]."""
+    """Return the normals of triangles with the area as their length: (n, 3) [mm], (m, 3) -> (m, 3) [mm^2]."""
     a, b, c = points[triangles].transpose(1, 0, 2)
     return 0.5 * np.cross(b - a, c - a)
 
 
 def dihedral_angles(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
-    """Angles between the faces of each tetrahedron: (n, 3), (m, 4) -> (m, 6) [degrees]."""
+    """Return the six dihedral angles of each tetrahedron: nodes (n, 3), corners (m, 4) -> (m, 6) [degrees]."""
     normals = [area_vectors(points, tetrahedra[:, face]) for face in FACES[OPPOSITE, :3]]
     normals = [n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300) for n in normals]
     cosines = [-np.einsum("ij,ij->i", a, b) for a, b in combinations(normals, 2)]
@@ -86,23 +89,23 @@ def dihedral_angles(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
 
 
 def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_sliding: np.ndarray) -> None:
-    """Refuse a mesh that no body can have.
+    """Check an imported mesh and its supports; raise InputError for the first fault.
 
     Parameters
     ----------
     points : (n, 3) array [mm]
         Nodes.
     tetrahedra : (m, 4) or (m, 10) int array
-        Corners, then middles of edges, oriented.
+        Corners, then midside nodes, oriented.
     is_fixed : (n,) bool array
-        Nodes that are held.
+        Fixed nodes.
     is_sliding : (n,) bool array
-        Corners of boundary faces that slide along themselves.
+        Corners of boundary faces that may slide in their own plane.
 
     Raises
     ------
     InputError
-        With the first fault: what, where, and what would be right.
+        If the mesh or the supports have a fault; the message gives the fault, its location and the requirement.
     """
     _check_numbers(points, tetrahedra)
     _check_shapes(points, tetrahedra)
@@ -126,8 +129,8 @@ def _check_numbers(points: np.ndarray, tetrahedra: np.ndarray) -> None:
     if (count > 1).any():
         twice = first[count > 1].min()
         raise InputError(
-            f"{np.count_nonzero(count > 1)} tetrahedra are there more than once, the first is number {twice} at "
-            f"{_centre(points, tetrahedra, twice)}: each may be there once"
+            f"{np.count_nonzero(count > 1)} tetrahedra occur more than once, the first is number {twice} at "
+            f"{_centre(points, tetrahedra, twice)}: each must occur once"
         )
 
 
@@ -144,14 +147,14 @@ def _check_shapes(points: np.ndarray, tetrahedra: np.ndarray) -> None:
 
 
 def _check_middles(points: np.ndarray, tetrahedra: np.ndarray) -> None:
-    """Refuse middle nodes that are another edge's, or that fold their tetrahedron."""
+    """Raise an error for tetrahedra with a midside node that is nearer to the midpoint of another edge."""
     ends = points[tetrahedra[:, np.array(EDGES)]]
     away = np.linalg.norm(points[tetrahedra[:, 4:]][:, :, None] - ends.mean(axis=2)[:, None], axis=3)
     bad = np.flatnonzero((away.argmin(axis=2) != np.arange(len(EDGES))).any(axis=1))
     if bad.size:
         raise InputError(
-            f"{bad.size} tetrahedra have a middle node that lies nearer to the middle of another edge, the first is number "
-            f"{bad[0]} at {_centre(points, tetrahedra, bad[0])}: middles follow in the order of VTK, (0,1) (1,2) (0,2) (0,3) "
+            f"{bad.size} tetrahedra have a midside node that lies nearer to the midpoint of another edge, the first is number "
+            f"{bad[0]} at {_centre(points, tetrahedra, bad[0])}: midside nodes must be in VTK order, (0,1) (1,2) (0,2) (0,3) "
             "(1,3) (2,3)"
         )
 
@@ -172,7 +175,7 @@ def _check_surface(points: np.ndarray, tetrahedra: np.ndarray) -> None:
 
 def _check_supports(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_sliding: np.ndarray) -> None:
     if not is_fixed.any() and not is_sliding.any():
-        raise InputError("no node is fixed: mark some by point data `fixed` = 1, or the body falls")
+        raise InputError("no node is fixed: mark some by point data `fixed` = 1, so that the body is supported")
     _check_motions(points, is_fixed, boundary(tetrahedra[:, :4]), is_sliding)
     pairs = neighbours(tetrahedra)
     joined = sp.coo_array((np.ones(pairs.shape[1]), tuple(pairs)), shape=(len(tetrahedra),) * 2)
@@ -180,12 +183,12 @@ def _check_supports(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.nda
     if n_pieces > 1:
         at = _place(points[tetrahedra[piece == np.bincount(piece).argmin(), :4]].mean(axis=(0, 1)))
         raise InputError(
-            f"the body falls into {n_pieces} pieces, the smallest about {at}: it must be one, joined face to face"
+            f"the body falls into {n_pieces} pieces, the smallest near {at}: all tetrahedra must be connected through faces"
         )
 
 
 def _check_motions(points: np.ndarray, is_fixed: np.ndarray, faces: np.ndarray, is_sliding: np.ndarray) -> None:
-    """Refuse supports that let a body slide away, or turn, as a whole: outer faces (n, 3)."""
+    """Raise an error for supports that leave a translation or rotation of the body free; ``faces``: outer faces (n, 3)."""
     walls = faces[is_sliding[faces].all(axis=1)]
     normals, arms = area_vectors(points, walls), points - points.mean(axis=0)
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -198,7 +201,7 @@ def _check_motions(points: np.ndarray, is_fixed: np.ndarray, faces: np.ndarray, 
             if is_fixed.any()
             else ("sliding nodes alone let", "some nodes")
         )
-        raise InputError(f"{who} the body slide away or turn: mark {what} by point data `fixed` = 1")
+        raise InputError(f"{who} the body translate or rotate: mark {what} by point data `fixed` = 1")
 
 
 def _place(point: np.ndarray) -> str:

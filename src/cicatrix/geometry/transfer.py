@@ -1,4 +1,4 @@
-"""Between a mesh and a lattice: which site lies in which element, and fields carried across without loss."""
+"""Transfer between a mesh and a lattice: the element of each site, and fields evaluated at the sites."""
 
 from __future__ import annotations
 
@@ -10,33 +10,34 @@ import numpy as np
 from .hexgrid import Lattice
 from .tetrahedra import EDGES
 
-# a P2 triangle cut into four straight ones: nodes (vertices 0 1 2, edges 3 = 01, 4 = 12, 5 = 02)
+# nodes of the four straight triangles that replace a P2 triangle (vertices 0 1 2, midside nodes 3 = 01, 4 = 12, 5 = 02)
 QUARTERS = np.array([[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]])
 LOCAL = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.5, 0.0], [0.5, 0.5], [0.0, 0.5]])
-# a P2 tetrahedron cut into eight: the corners, and the octahedron between them along its diagonal from 01 to 23
+# nodes of the eight straight tetrahedra that replace a P2 tetrahedron: four at the corners, four from the octahedron between
+# them, which is cut along its diagonal from the middle of edge 01 to that of edge 23
 EIGHTHS = np.array(
     [[0, 4, 6, 7], [4, 1, 5, 8], [6, 5, 2, 9], [7, 8, 9, 3], [4, 9, 6, 5], [4, 9, 5, 8], [4, 9, 8, 7], [4, 9, 7, 6]]
 )
 CORNERS = np.vstack([np.zeros(3), np.eye(3)])
 LOCAL_SOLID = np.vstack([CORNERS, [(CORNERS[i] + CORNERS[j]) / 2 for i, j in EDGES]])
 OUTSIDE = -1
-ON_FACE = 1e-9  # barycentric coordinate: what is so little outside counts as inside
-PIECES_AT_ONCE = 2048  # of tetrahedra, and
-SITES_AT_ONCE = 2**20  # sites: their work arrays stay below 100 MB
+ON_FACE = 1e-9  # tolerance of barycentric coordinates: sites outside by less count as inside
+PIECES_AT_ONCE = 2048  # number of straight tetrahedra per batch
+SITES_AT_ONCE = 2**20  # number of sites per batch; with both limits work arrays stay below 100 MB
 
 
 @dataclass(frozen=True, eq=False)
 class SiteMap:
     """Element and local coordinates of every site of a lattice.
 
-    Each site belongs to exactly one element or to none, so counting cells by element neither loses nor doubles any.
+    Each site belongs to exactly one element or to none, so counts per element add up to the number of sites inside.
 
     Parameters
     ----------
     element : (n_sites,) int array
-        Element number, OUTSIDE (-1) where there is none.
+        Element index of each site, OUTSIDE (-1) if the site is in no element.
     local : (n_inside, 2 or 3) array [1]
-        Coordinates in the reference triangle or tetrahedron of the sites that have an element, in their order.
+        Local coordinates, in the reference triangle or tetrahedron, of the sites in an element, in the order of the sites.
     n_elements : int
         Number of elements of the mesh.
     """
@@ -47,15 +48,15 @@ class SiteMap:
 
     @cached_property
     def inside(self) -> np.ndarray:
-        """Sites that have an element (n_inside,)."""
+        """Indices of the sites that are in an element (n_inside,)."""
         return np.flatnonzero(self.element != OUTSIDE)
 
     def count(self, chosen: np.ndarray) -> np.ndarray:
-        """Chosen sites in each element: (n_sites,) bool -> (n_elements,) int."""
+        """Count the chosen sites in each element: (n_sites,) bool -> (n_elements,) int."""
         return np.bincount(self.element[chosen & (self.element != OUTSIDE)], minlength=self.n_elements)
 
     def evaluate(self, coefficients: np.ndarray) -> np.ndarray:
-        """Field linear in each element, at the sites: coefficients (n_elements, 3 or 4) -> (n_sites,); 0 outside."""
+        """Evaluate an element-wise linear field at the sites: coefficients (n_elements, 3 or 4) -> (n_sites,); 0 outside."""
         centre = 1.0 / coefficients.shape[1]
         values = np.zeros(len(self.element))
         for start in range(0, len(self.inside), SITES_AT_ONCE):
@@ -71,7 +72,7 @@ def locate_sites(positions: np.ndarray, sites: np.ndarray) -> SiteMap:
     Parameters
     ----------
     positions : (n_elements, 6, 2) array [mm]
-        Nodes of P2 triangles; their curved edges are taken as two straight halves.
+        Nodes of P2 triangles; each curved edge is approximated by two straight halves.
     sites : (n_sites, 2) array [mm]
         Site positions in any order.
     """
@@ -96,16 +97,16 @@ def locate_sites(positions: np.ndarray, sites: np.ndarray) -> SiteMap:
 
 
 def locate_lattice(positions: np.ndarray, lattice: Lattice, box: np.ndarray) -> SiteMap:
-    """Find the tetrahedron of each site of a lattice, row by row: where a row enters a tetrahedron, and where it leaves.
+    """Find the tetrahedron of each site of a lattice by intersecting the lines of sites with the tetrahedra.
 
     Parameters
     ----------
     positions : (n_elements, 10, 3) array [mm]
-        Nodes of P2 tetrahedra; each is taken as eight straight ones, so that neighbours agree on their common face.
+        Nodes of P2 tetrahedra; each is replaced by eight straight ones, so that neighbours agree on their common face.
     lattice : Lattice
-        Of three axes.
+        Lattice with three axes.
     box : (2, 3) array [mm]
-        Low and high corner; sites beyond them are left out, for the block of a lattice is sheared.
+        Low and high corner; sites outside are left out, because the block of a lattice is sheared and extends further.
     """
     element = np.full(lattice.n_sites, OUTSIDE, np.int32)
     near = np.flatnonzero(((positions.max(axis=1) >= box[0]) & (positions.min(axis=1) <= box[1])).all(axis=1))
@@ -116,7 +117,7 @@ def locate_lattice(positions: np.ndarray, lattice: Lattice, box: np.ndarray) -> 
         at = lattice.position(index)
         site = np.asarray(np.ravel_multi_index(tuple(index.T), lattice.shape))
         new = np.flatnonzero((element[site] == OUTSIDE) & ((at >= box[0]) & (at <= box[1])).all(axis=1))
-        _, first = np.unique(site[new], return_index=True)  # a site on a face has one element: the first
+        _, first = np.unique(site[new], return_index=True)  # a site on a face belongs to the first element
         new, number = new[first], start + piece[new[first]]
         element[site[new]] = near[number // len(EIGHTHS)]
         local = np.einsum("na,nai->ni", weights[new], LOCAL_SOLID[EIGHTHS[number % len(EIGHTHS)]])
@@ -126,10 +127,13 @@ def locate_lattice(positions: np.ndarray, lattice: Lattice, box: np.ndarray) -> 
 
 
 def _sites_in(corners: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sites within straight tetrahedra: corners (n, 4, 3) as site indices -> tetrahedron (k,), index (k, 3), weights (k, 4)."""
+    """Find the sites in straight tetrahedra.
+
+    Corners (n, 4, 3) in site indices -> for each of k pairs: tetrahedron (k,), site (k, 3), barycentric weights (k, 4).
+    """
     edges = corners[:, 1:] - corners[:, :1]
     is_flat = np.abs(np.linalg.det(edges)) < 1e-12
-    slope = np.linalg.inv(np.where(is_flat[:, None, None], np.eye(3), edges))  # of the last three weights
+    slope = np.linalg.inv(np.where(is_flat[:, None, None], np.eye(3), edges))  # gradient of the last three weights
     slope = np.concatenate([-slope.sum(axis=2, keepdims=True), slope], axis=2)
     offset = np.eye(1, 4) - np.einsum("ni,nia->na", corners[:, 0], slope)
     last = np.array(shape) - 1
@@ -152,7 +156,7 @@ def _sites_in(corners: np.ndarray, shape: tuple[int, ...]) -> tuple[np.ndarray, 
 
 
 def _expanded(counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Owner and number within it of ``counts`` (n,) things each: two (sum,) arrays."""
+    """Return, for ``counts`` (n,) items per owner, the owner and the running number of each item: two (sum,) arrays."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
@@ -167,10 +171,10 @@ def _barycentric(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def linear_fit(values: np.ndarray, weights: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Least-squares linear function in each element; keeps the weighted mean.
+    """Fit a linear function in each element by least squares; it preserves the weighted mean.
 
-    values, weights (n_elements, n_qp), points (n_qp, 2 or 3) local coordinates -> coefficients (n_elements, 3 or 4) of
-    1 and the local coordinates less those of the centre.
+    Values and weights (n_elements, n_qp) at points with local coordinates (n_qp, 2 or 3) -> coefficients (n_elements, 3 or 4) of
+    1 and of the local coordinates relative to the centre of the element.
     """
     basis = np.column_stack([np.ones(len(points)), points - 1.0 / (points.shape[1] + 1)])
     mass = np.einsum("eq,qi,qj->eij", weights, basis, basis)

@@ -1,4 +1,4 @@
-"""A regular grid of voxels in patient space (LPS: x to the patient's left, y posterior, z superior) [mm]."""
+"""Regular grid of voxels in patient space (LPS: x to the patient's left, y posterior, z superior) [mm]."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from scipy.ndimage import map_coordinates
+import scipy  # SciPy imports its submodules at first use
 
 TOWARDS = {"L": (0, 1), "R": (0, -1), "P": (1, 1), "A": (1, -1), "S": (2, 1), "I": (2, -1)}  # LPS axis and direction
 
@@ -20,7 +20,7 @@ def _is_right_handed(letters: tuple[str, ...]) -> bool:
 
 
 AXES = tuple("".join(letters) for letters in product(TOWARDS, repeat=3) if _is_right_handed(letters))
-"""Where the x, y and z of a file may lead without making a mirror image: "LPS", "RIA", ... (24 of them)."""
+"""Directions that the x, y and z axes of a file may have, right-handed: "LPS", "RIA", ... (24 in all)."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +30,7 @@ class Volume:
     Parameters
     ----------
     values : (nz, ny, nx) or (n_channels, nz, ny, nx) array
-        Voxel values, unit by use.
+        Voxel values; their unit depends on the use.
     spacing_mm : (3,) tuple of float
         Voxel edge along x, y, z [mm].
     origin_mm : (3,) tuple of float
@@ -48,19 +48,19 @@ class Volume:
         return nz, ny, nx
 
     def with_values(self, values: np.ndarray) -> Volume:
-        """Return other values on the same grid."""
+        """Return a volume with other values on the same grid."""
         return Volume(values, self.spacing_mm, self.origin_mm)
 
     def every(self, steps: tuple[int, int, int]) -> Volume:
-        """Keep every n-th voxel along z, y, x, the first one of each axis among them."""
+        """Return a volume of every n-th voxel along z, y, x, starting with the first."""
         values = self.values[(..., *(slice(None, None, n) for n in steps))]
         sz, sy, sx = (spacing * n for spacing, n in zip(self.spacing_mm[::-1], steps))
         return Volume(np.ascontiguousarray(values), (sx, sy, sz), self.origin_mm)
 
     def from_axes(self, axes: str) -> Volume:
-        """Return the same voxels (nz, ny, nx) in LPS, where x, y, z so far led as ``axes`` says: one of `AXES`."""
+        """Return the voxels (nz, ny, nx) reordered to LPS; ``axes``, one of `AXES`, are the present directions of x, y, z."""
         source = {TOWARDS[letter][0]: (old, TOWARDS[letter][1]) for old, letter in enumerate(axes)}
-        order = [source[new] for new in range(3)]  # old axis and direction of each new one
+        order = [source[new] for new in range(3)]  # old axis and its direction for each new axis
         values = self.values.transpose([2 - old for old, _ in reversed(order)])
         values = values[tuple(slice(None, None, sign) for _, sign in reversed(order))]
         spacing = [self.spacing_mm[old] for old, _ in order]
@@ -68,26 +68,28 @@ class Volume:
         return Volume(np.ascontiguousarray(values), (spacing[0], spacing[1], spacing[2]), (ends[0], ends[1], ends[2]))
 
     def voxel(self, points_mm: np.ndarray) -> np.ndarray:
-        """Fractional voxel indices: points (..., 3) x, y, z [mm] -> (..., 3) z, y, x [1]."""
+        """Return fractional voxel indices: points (..., 3) x, y, z [mm] -> (..., 3) z, y, x [1]."""
         index = (np.asarray(points_mm, float) - self.origin_mm) / self.spacing_mm
         return index[..., ::-1]
 
     def position(self, index_zyx: np.ndarray) -> np.ndarray:
-        """Physical positions: indices (..., 3) z, y, x -> (..., 3) x, y, z [mm]."""
+        """Return physical positions: indices (..., 3) z, y, x -> (..., 3) x, y, z [mm]."""
         return np.asarray(index_zyx, float)[..., ::-1] * self.spacing_mm + self.origin_mm
 
     def axis(self, number: int) -> np.ndarray:
-        """Voxel centres along an array axis (0 z, 1 y, 2 x) [mm]."""
+        """Return the voxel centres along an array axis (0 z, 1 y, 2 x) [mm]."""
         return self.origin_mm[2 - number] + np.arange(self.shape[number]) * self.spacing_mm[2 - number]
 
     def nearest(self, points_mm: np.ndarray) -> np.ndarray:
-        """Values of the nearest voxels: points (..., 3) [mm] -> (...) or (n_channels, ...)."""
+        """Return the values of the nearest voxels: points (..., 3) [mm] -> (...) or (n_channels, ...)."""
         index = np.clip(np.rint(self.voxel(points_mm)).astype(int), 0, np.array(self.shape) - 1)
         return self.values[(..., *np.moveaxis(index, -1, 0))]
 
     def sample(self, points_mm: np.ndarray, order: int = 1) -> np.ndarray:
-        """Interpolate: points (..., 3) [mm] -> (...) or (n_channels, ...); outside, the nearest voxel counts."""
+        """Interpolate at points (..., 3) [mm] -> (...) or (n_channels, ...); outside the grid the nearest voxel is used."""
         coordinates = np.moveaxis(self.voxel(points_mm), -1, 0)
         channels = self.values if self.values.ndim == 4 else self.values[None]
-        out = np.stack([map_coordinates(c, coordinates, order=order, mode="nearest", output=float) for c in channels])
+        out = np.stack(
+            [scipy.ndimage.map_coordinates(c, coordinates, order=order, mode="nearest", output=float) for c in channels]
+        )
         return out if self.values.ndim == 4 else out[0]

@@ -1,1 +1,1 @@
-"""Wound closure."""
+"""Models of wound healing: the cellular automaton and the continuum model."""

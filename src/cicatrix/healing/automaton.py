@@ -1,8 +1,8 @@
-"""The healing automaton: cells on a lattice divide, move and close the wound.
+"""Cellular automaton of wound healing: cells on a lattice divide, move and close the wound.
 
-Source: Garbey et al., section 3, read in integers: edge division, motility, layer division and redistribution, in this
-order, once per cell cycle. Every random number belongs to (seed, site, step, phase), so the occupancy and the number of
-the step determine all that follows, bit for bit, on any machine and in any order of evaluation.
+Source: Garbey et al., section 3, in integer arithmetic. Each step does edge division, motility, layer division and
+redistribution, in this order. Every random number is a function of (seed, site, step, phase), so the occupancy and the
+step number determine all later states, bit for bit, on any machine and in any order of evaluation.
 """
 
 from __future__ import annotations
@@ -16,30 +16,32 @@ from ..core.errors import InputError, InvariantError
 from ..core.random import MAX_SEED
 from ..core.ranks import Ranks
 from ..geometry.hexgrid import Lattice
-from .model import Cue
+from .cue import Cue
 from .redistribution import path_noise_limit
+from .reference import ReferenceCore
 from .rules import AutomatonRules
-from .twin import TwinCore
 
 __all__ = ["Automaton", "AutomatonRules", "AutomatonState", "NativeCore"]
 
 
 @dataclass(frozen=True, eq=False)
 class AutomatonState:
-    """Cells and clock. ``occupancy`` and ``step`` are the whole checkpoint; the counts only report the last step.
+    """Occupied sites and step number of the automaton.
+
+    ``occupancy`` and ``step`` suffice to restart; the counts only report the last step.
 
     Parameters
     ----------
     occupancy : bool array of the lattice's shape, read-only
-        Sites that hold a cell.
+        Sites occupied by a cell.
     step : int
-        Steps done.
+        Number of steps done.
     n_edge_divisions, n_layer_divisions : int
-        Divisions of the last step that placed a daughter.
+        Divisions in the last step that placed a daughter cell.
     n_dropped : int
-        Divisions of the layer that did not happen in the last step because no empty site was left or reachable.
+        Layer divisions that did not happen in the last step because no empty site was left or reachable.
     n_clamped : int
-        Cells of the layer whose probability exceeded 1 in the last step and was taken as 1.
+        Layer cells whose division probability exceeded 1 in the last step and was set to 1.
     """
 
     occupancy: np.ndarray
@@ -60,30 +62,30 @@ class AutomatonState:
 
 @dataclass(frozen=True, eq=False)
 class Automaton:
-    """Healing model on a lattice (implements ``HealingModel``).
+    """Cells on a lattice that divide and move until the wound is closed.
 
     Parameters
     ----------
     lattice : Lattice
-        Where cells can sit.
+        Lattice of sites; each site holds at most one cell.
     fillable : bool array of the lattice's shape
-        Sites that may ever hold a cell; the others never do and carry no flux, and so does the frame.
+        Sites that can be occupied by a cell; there is no diffusive flux into other sites and across the boundary of the lattice.
     open0 : bool array of the lattice's shape
-        Fillable sites that are empty at the start (the wound); all other fillable sites hold a cell.
+        Fillable sites that are empty at the start (the wound); all other fillable sites are occupied.
     rules : AutomatonRules
-        What a cell does in one step.
+        Probabilities and other parameters of one step.
     seed : int
-        Names the stream of random numbers, 0 .. 2^64 - 1.
+        Seed of the random numbers, 0 .. 2^64 - 1.
 
     Raises
     ------
     InputError
-        If the arrays do not fit the lattice, the wound holds a site that cannot be filled, or no cell is left.
+        If the arrays do not fit the lattice, the wound contains a site that cannot be filled, or no cell is left.
 
     Notes
     -----
-    Limits: a wound that is closed, or was never open, stays as it is (the step is counted). It may touch the frame.
-    A pocket of the wound that no cell borders stays empty, except that motility may fill it.
+    Limiting cases: a closed wound, or one that was never open, does not change (the step is still counted). The wound
+    may touch the boundary of the lattice. A pocket of the wound that borders no cell stays empty unless motility fills it.
     """
 
     lattice: Lattice
@@ -109,22 +111,18 @@ class Automaton:
             raise InputError(f"Automaton.seed must lie in 0 .. 2^64 - 1; got {self.seed}")
 
     def initial_state(self) -> AutomatonState:
-        """Return the fresh wound at step 0."""
+        """Return the state at step 0, in which the wound is completely open."""
         return AutomatonState(self.fillable & ~self.open0, 0)
 
-    def filling(self, state: AutomatonState) -> np.ndarray:
-        """Tissue per site: 1 where a cell sits, else 0, of the lattice's shape [1]."""
-        return state.occupancy.astype(float)
-
     def advance(self, state: AutomatonState, cue: Cue | None = None, n_steps: int = 1) -> AutomatonState:
-        """Return the state after ``n_steps`` cell cycles under a constant cue; the given state is not touched.
+        """Return the state after ``n_steps`` steps under a constant cue; the given state is not modified.
 
         Raises
         ------
         InputError
             If the cue is not finite or does not fit the lattice.
         InvariantError
-            If cells were lost or doubled (a fault of the program).
+            If cells were lost or duplicated, which would be a bug in the program.
         """
         if n_steps < 0:
             raise InputError(f"n_steps must be at least 0; got {n_steps}")
@@ -135,30 +133,30 @@ class Automaton:
 
     def core(
         self, state: AutomatonState, threads: int | None = None, isa: str = "", ranks: Ranks | None = None
-    ) -> NativeCore | TwinCore:
-        """Return what does the steps from a state on: the compiled core where there is one, its NumPy twin elsewhere.
+    ) -> NativeCore | ReferenceCore:
+        """Return the core that advances a state: the compiled one if available, otherwise the NumPy reference implementation.
 
         Parameters
         ----------
         threads : int, optional
-            Threads of the compiled core; default: ``CICATRIX_THREADS``, or 1. The answer does not depend on it.
+            Number of threads of the compiled core; default: ``CICATRIX_THREADS``, or 1. It does not affect the result.
         isa : str
-            Instruction set, one of ``native.instruction_sets()``; "" for the best of this machine.
+            Instruction set, one of ``native.instruction_sets()``; "" for the best one of this machine.
         ranks : Ranks, optional
-            Ranks that do the steps together, each with the same automaton and state; default: this process alone. The
-            twin does the whole on every rank.
+            MPI ranks that share the work of each step, all with the same automaton and state; default: this process
+            alone. The reference implementation repeats the whole step on every rank.
         """
         if state.occupancy.shape != self.lattice.shape:
             raise InputError(f"the state's lattice {state.occupancy.shape} is not the automaton's {self.lattice.shape}")
         if (state.occupancy & ~self.fillable).any():
-            raise InputError("the state holds a cell where the automaton's fillable allows none")
+            raise InputError("the state has a cell at a site that is not fillable in this automaton")
         arguments = (self.lattice, self.fillable, state.occupancy, self.rules, self.seed, state.step)
         if not native.is_native:
-            return TwinCore(*arguments)
+            return ReferenceCore(*arguments)
         return NativeCore(*arguments, threads=threads or native.threads(), isa=isa, ranks=ranks)
 
     def checked(self, cue: Cue) -> tuple[np.ndarray, float]:
-        """Return W as (1,) or (n_sites,) float64 array, and W_ref.
+        """Check a cue and return W as a (1,) or (n_sites,) float64 array, and W_ref.
 
         Raises
         ------
@@ -181,7 +179,7 @@ class Automaton:
 
 
 class NativeCore:
-    """The compiled core behind the interface of ``TwinCore``."""
+    """Compiled automaton core with the interface of ``ReferenceCore``."""
 
     def __init__(
         self,
@@ -221,37 +219,37 @@ class NativeCore:
 
     @property
     def step(self) -> int:
-        """Steps done."""
+        """Number of steps done."""
         return self._cells.step
 
     @property
     def last(self) -> list[int]:
-        """What the last step gave, as a row of ``advance``; empty before the first."""
+        """The five counts of the last step, in the order of the columns that ``advance`` returns; empty before the first step."""
         return self._cells.last
 
     @property
     def n_open(self) -> int:
-        """Sites that can be filled and are not."""
+        """Number of fillable sites that are still empty."""
         return self._cells.n_open
 
     @property
     def work(self) -> dict[str, int]:
-        """What the last step had to look at (tiles, sites), and the bytes held."""
+        """Work of the last step by name (numbers of tiles, sites and ranks) and, under "bytes", the size of the memory in use."""
         return self._cells.work
 
     @property
     def ranks_of_last_step(self) -> int:
-        """Ranks that shared the last step; 1 where each did the whole."""
+        """Number of ranks that shared the last step; 1 if every rank did the whole step."""
         return self._cells.work["ranks"]
 
     def occupancy(self) -> np.ndarray:
-        """Sites that hold a cell: bool array of the lattice's shape."""
+        """Return the sites occupied by a cell: bool array of the lattice's shape."""
         return unpack_rows(self._cells.occupancy(), self.shape)
 
     def advance(self, n_steps: int, W: np.ndarray, W_ref: float) -> np.ndarray:
-        """As ``TwinCore.advance``; all ranks must call it alike."""
+        """Perform steps as ``ReferenceCore.advance`` does; all ranks must call it with the same arguments."""
         team = self._ranks if self._ranks.size > 1 else None
-        with self._ranks.all_or_none():
+        with self._ranks.abort_on_error():
             try:
                 return self._cells.advance(n_steps, W, W_ref, team)
             except native.InvariantFault as error:
@@ -259,11 +257,11 @@ class NativeCore:
 
 
 def pack_rows(mask: np.ndarray) -> np.ndarray:
-    """Rows along the last axis as bits, least significant first, each in whole bytes: bool -> (n_bytes,) uint8."""
+    """Pack the rows along the last axis into bits, least significant first, whole bytes per row: bool -> (n_bytes,) uint8."""
     return np.packbits(mask.reshape(-1, mask.shape[-1]), axis=1, bitorder="little").ravel()
 
 
 def unpack_rows(packed: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
-    """Undo ``pack_rows``: (n_bytes,) uint8 -> bool array of a shape."""
+    """Undo ``pack_rows``: (n_bytes,) uint8 -> bool array of the given shape."""
     rows = packed.reshape(int(np.prod(shape[:-1])), -1)
     return np.unpackbits(rows, axis=1, count=shape[-1], bitorder="little").reshape(shape).view(bool)

@@ -1,11 +1,12 @@
-"""Cell motility: diffuse the occupancy in integers, then keep the level set that holds the wanted number of cells.
+"""Cell motility: diffuse the occupancy in integers, then threshold it so that the number of cells is conserved.
 
-Source: Garbey et al., section 3.1 ("Cell Motility"). Here the diffusion is done in integers, so that every machine
-finds the same bits: U' = (2 U + sum of 6 neighbours + 4) >> 3 from 8191 in 2-D, U' = (4 U + sum of 12 + 8) >> 4 from
-4095 in 3-D. The masked sites and the frame carry no flux: a missing neighbour counts as the site's own value.
+Source: Garbey et al., section 3.1 ("Cell Motility"). The diffusion uses integer arithmetic, so that every machine
+gives the same bits: U' = (2 U + sum of 6 neighbours + 4) >> 3 in 2-D, U' = (4 U + sum of 12 neighbours + 8) >> 4 in
+3-D; initially an occupied site has U = 8191 in 2-D and 4095 in 3-D ("bulk"), an empty one 0. Sites that cannot be
+filled and the boundary of the lattice have no flux: a missing neighbour counts as the site's own value.
 
-One sub-step moves information by one hop, so outside a band of n sub-steps around the front U is still 0 or bulk there,
-and the level set of the band is the level set of the lattice as long as 0 < U0 < bulk.
+One sub-step carries information by one hop, so n sub-steps leave U at 0 or bulk farther than n hops from the front,
+and the level set of this band is the level set of the lattice as long as 0 < U0 < bulk (U0: the threshold).
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ SHIFT = {2: 3, 3: 4}
 
 
 def diffuse(window: Window, occupied: np.ndarray, n_substeps: int) -> np.ndarray:
-    """Integer density after ``n_substeps``: (size,) bool -> (size,) uint16, 0 at sites that cannot be filled."""
+    """Diffuse the occupancy over ``n_substeps``: (size,) bool -> (size,) uint16 density U, 0 at unfillable sites."""
     ndim = window.lattice.ndim
     u = occupied.astype(np.uint16) * np.uint16(BULK[ndim])
     reach = int(abs(window.shifts).max())
@@ -41,7 +42,7 @@ def diffuse(window: Window, occupied: np.ndarray, n_substeps: int) -> np.ndarray
 
 
 def _sum_of_neighbours(u: np.ndarray, shifts: np.ndarray, reach: int) -> np.ndarray:
-    """Add up the neighbours: (size,) uint16 -> (size,) uint16; border rows hold zeros."""
+    """Sum U over the neighbours of each site: (size,) uint16 -> (size,) uint16; 0 near the ends of the flat array."""
     total = np.zeros_like(u)
     inner = total[reach : u.size - reach]
     for shift in shifts:
@@ -50,10 +51,10 @@ def _sum_of_neighbours(u: np.ndarray, shifts: np.ndarray, reach: int) -> np.ndar
 
 
 def move(window: Window, occupied: np.ndarray, n_substeps: int, seed: int, step: int) -> tuple[np.ndarray, bool]:
-    """Motility step: (size,) bool -> (size,) bool with the same number of cells, and whether the window sufficed.
+    """Perform a motility step: (size,) bool -> (size,) bool with equally many cells, and whether the window was large enough.
 
-    It did if it is the whole lattice, if 0 < U0 < bulk, or if U0 = bulk and all sites at bulk are kept, as those beyond
-    the window are. If it did not, the answer is worthless and the caller widens.
+    The window is large enough if it is the whole lattice, if 0 < U0 < bulk, or if U0 = bulk and all sites at bulk keep their
+    cells, as those outside the window do. Otherwise the result is invalid and the caller must use a larger window.
     """
     candidates, count = np.flatnonzero(window.fillable), int(np.count_nonzero(occupied))
     if n_substeps == 0 or count == 0:
@@ -70,9 +71,9 @@ def move(window: Window, occupied: np.ndarray, n_substeps: int, seed: int, step:
 def largest(
     window: Window, u: np.ndarray, candidates: np.ndarray, count: int, seed: int, step: int, phase: Phase
 ) -> tuple[int, np.ndarray]:
-    """Find the level U0 and the ``count`` candidates of largest U, ties by (random word of (site, step), site).
+    """Return the threshold U0 and the ``count`` candidates of largest density U, with equal U ordered by (random word, site).
 
-    ``candidates`` are flat indices, ``1 <= count <= len(candidates)``; the threshold is exact, by histogram.
+    ``candidates`` are flat indices, ``1 <= count <= len(candidates)``; a histogram gives the threshold exactly.
     """
     values = u[candidates]
     at_least = np.bincount(values)[::-1].cumsum()[::-1]

@@ -1,10 +1,10 @@
-"""Where the daughters of the active layer go, in two variants.
+"""Redistribution of the daughter cells of the active layer, in two variants.
 
-Source: Garbey et al., section 3.3. ``route`` (the default) is the shift along a noisy shortest path: cells being
+Source: Garbey et al., section 3.3. ``route`` (the default) shifts cells along a noisy shortest path. As cells are
 indistinguishable, shifting a chain of cells towards the wound is the same as sending one token down the chain.
-``level_set`` is the paper's second variant, diffusion and then the level set that holds the new number of cells; here
-the numbers are kept per wound component, because one global level set would let cells vanish at one wound and appear
-at another.
+``level_set`` is the paper's second variant: diffusion, then the level set that contains the new number of cells. Here
+the number is conserved in each wound component, because one global level set could remove cells at one wound and add
+them at another.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from .motility import diffuse, largest
 from .window import Window
 
 HOP_COST = 64  # cost of one occupied site of a path, without noise
-SETTLE_COST = 48  # cost of settling where no neighbour is occupied
-FAR = np.int32(65535)  # no path, and the distance that counts as none
-WHOLE_LAYER = 0  # as a reach: no limit, for the first round
+SETTLE_COST = 48  # cost of settling at an empty site that has no occupied neighbour
+FAR = np.int32(65535)  # distance of a site without a path
+WHOLE_LAYER = 0  # value of ``reach`` that stands for no limit, used in the first round
 
 
 def path_noise_limit(noise: float) -> int:
-    """Largest whole number that noise (a share of the cost of a hop) adds to the cost of a site."""
+    """Return the largest integer that is randomly added to the cost of a site, for noise as a fraction of the cost of a hop."""
     return int(HOP_COST * noise)
 
 
@@ -32,20 +32,20 @@ def route(
 ) -> np.ndarray:
     """Send every daughter to an empty site along a noisy shortest path: (size,) bool -> (size,) bool.
 
-    The cost of an occupied site is 64 plus a whole number drawn from 0 .. floor(64 noise) by (site, step). Settling at
-    an empty site costs less than a hop, but the more the fewer cells it touches: s for each free neighbour, s = 48 over
-    the number of neighbours, plus a draw from 0 .. s - 1. Without it, a token that is pushed on chooses blindly among
-    the empty sites beside it, and the front grows fingers. The field d is the least cost of a path to an empty site.
-    A token steps to the neighbour with the smallest d (the first in the lattice's order among equals) until it stands
-    on an empty site. Of the tokens at one empty site, one stays; the site counts as occupied and the others walk on in
-    the next round, in the field of the sites still empty. The paths use the layer and the sites filled in this
-    redistribution only; tokens without such a path are dropped, and so are the divisions that made them. All tokens of
-    a round move at once and only their number per site matters, so the order in which they are treated cannot.
+    The cost of an occupied site is 64 plus an integer drawn from 0 .. floor(64 noise) by (site, step). Settling at
+    an empty site costs s per empty neighbour (s = 48 / number of neighbours) plus an integer drawn from 0 .. s - 1: less
+    than a hop, and cheapest where most neighbours are occupied. Without the settling cost a token would choose among
+    adjacent empty sites at random, and the front would grow fingers. The field d is the least cost of a path to an
+    empty site. A token moves to the neighbour with the smallest d (the first in the lattice's order among equals) until
+    it reaches an empty site. Of the tokens at one empty site, one stays there; the site is now occupied, and the others
+    move on in the next round, with d computed for the remaining empty sites. Paths use only the layer and the sites
+    filled in this redistribution. Tokens without such a path are dropped, and so are the divisions that made them. All
+    tokens of a round move at once, and only their number per site matters, so the result does not depend on their order.
 
     Parameters
     ----------
     layer, parents : int arrays
-        Flat indices of the cells of the active layer, and of those that divide (one token each).
+        Flat indices of the cells of the active layer, and of those among them that divide (one token each).
     """
     descent = _Descent(window, occupied, layer, noise, seed, step)
     tokens, reach = parents, WHOLE_LAYER
@@ -58,7 +58,7 @@ def route(
 
 
 class _Descent:
-    """The noisy distance-to-empty field of one step and the walk down it; ``occupied`` grows as tokens land."""
+    """Noisy distance d to the nearest empty site, along which tokens descend; ``occupied`` is updated at each new cell."""
 
     def __init__(self, window: Window, occupied: np.ndarray, layer: np.ndarray, noise: float, seed: int, step: int):
         self.window, self.noise, self.seed, self.step = window, noise, seed, step
@@ -67,7 +67,7 @@ class _Descent:
         self.distance = np.full(occupied.size, FAR)
         self.in_reach = np.zeros(occupied.size, bool)
         self.stamp = np.zeros(occupied.size, np.int64)
-        self.cost = np.zeros(occupied.size, np.int32)  # 0: no path leads through here
+        self.cost = np.zeros(occupied.size, np.int32)  # 0: paths cannot use this site
         self._open_paths(layer)
         self.layer = layer
 
@@ -77,22 +77,22 @@ class _Descent:
         self.distance[sites] = FAR
 
     def _price(self, sites: np.ndarray) -> None:
-        """Set d at empty sites: the fewer occupied neighbours, the dearer to settle there."""
+        """Set d at empty sites to the cost of settling there, which is higher the fewer neighbours are occupied."""
         unit = SETTLE_COST // len(self.window.shifts)
         n_free = self.free[sites + self.window.shifts[:, None]].sum(axis=0)
         word = site_word(self.seed, self.window.site(sites), self.step, Phase.SETTLE)
         self.distance[sites] = unit * n_free + below(word, unit)
 
     def fill(self, sites: np.ndarray) -> None:
-        """Let one cell settle at each of these empty sites."""
+        """Put one cell at each of the given empty sites, so that later paths can use these sites."""
         self.occupied[sites], self.free[sites] = True, False
         self._open_paths(sites)
 
     def walk(self, tokens: np.ndarray, reach: int) -> np.ndarray:
-        """Move tokens (n,) to their empty sites: flat indices (m,), without the tokens that have no path.
+        """Move tokens (n,) to empty sites and return the flat indices of these (m,); tokens without a path are left out.
 
-        The field is solved within ``reach`` hops of the tokens, or in the whole layer. A path that leaves this range
-        costs at least HOP_COST (reach + 1), so smaller values are exact; the range is doubled for the other tokens.
+        d is solved within ``reach`` hops of the tokens, or in the whole layer. A path that leaves this range costs at
+        least HOP_COST (reach + 1), so smaller values are exact; for the other tokens the range is doubled.
         """
         done = []
         while tokens.size:
@@ -107,7 +107,7 @@ class _Descent:
         return np.concatenate(done) if done else tokens
 
     def _near(self, tokens: np.ndarray, reach: int) -> tuple[np.ndarray, bool]:
-        """Path sites within ``reach - 1`` hops of the tokens along paths, and whether there are no more to find."""
+        """Return the path sites within ``reach - 1`` hops of the tokens, and whether a larger reach would add none."""
         if reach == WHOLE_LAYER:
             return self.layer, True
         ring = near = self._once(tokens)
@@ -120,15 +120,15 @@ class _Descent:
         return near, ring.size == 0
 
     def _once(self, sites: np.ndarray) -> np.ndarray:
-        """Each of these sites (n,) once, in no particular order; unlike sorting, this costs two look-ups."""
+        """Return the given sites (n,) without duplicates, in arbitrary order, by two array look-ups instead of a sort."""
         number = np.arange(sites.size)
         self.stamp[sites] = number
         return sites[self.stamp[sites] == number]
 
     def _solve(self, sites: np.ndarray) -> None:
-        """Relax d(s) = cost(s) + min over neighbours d until it stands (the solution is unique).
+        """Solve d(s) = cost(s) + min of d over the neighbours by relaxation to convergence (the solution is unique).
 
-        A site is looked at again only if a neighbour changed.
+        A site is updated again only if a neighbour changed.
         """
         around = sites + self.window.shifts[:, None]
         self._price(self._once(around[self.free[around]]))
@@ -144,7 +144,7 @@ class _Descent:
         self.in_reach[sites] = False
 
     def _descend(self, tokens: np.ndarray) -> np.ndarray:
-        """Walk tokens that have a path down to the empty sites."""
+        """Move tokens that have a path along steepest descent of d to empty sites."""
         tokens = tokens.copy()
         walking = np.flatnonzero(~self.free[tokens])
         while walking.size:
@@ -158,13 +158,13 @@ class _Descent:
 def level_set(
     window: Window, occupied: np.ndarray, parents: np.ndarray, reach: int, n_substeps: int, seed: int, step: int
 ) -> np.ndarray:
-    """Diffuse, then keep the new number of cells in each wound component: (size,) bool -> (size,) bool.
+    """Diffuse, then threshold each wound component at its new number of cells: (size,) bool -> (size,) bool.
 
-    A wound component is a connected piece of the fillable sites within ``reach`` hops of an empty site: the open region
-    with the tissue around it, ``reach`` being the larger of the layer's thickness and the sub-steps. Its count is its
-    cells before, plus its divisions in this step, at most its number of sites; what exceeds it is dropped. A component
-    without divisions stays as it is. Wounds whose surroundings touch are one component, with one common count; they
-    part when their surroundings no longer touch.
+    A wound component is a connected set of fillable sites within ``reach`` hops of an empty site: the open region with
+    the tissue around it; ``reach`` is the larger of the layer's thickness and the number of sub-steps. The new number
+    is the number of cells before plus the divisions in this step, but at most the number of sites; excess divisions are
+    dropped. A component without divisions does not change. Wounds whose surroundings touch form one component with a
+    common number of cells, until their surroundings no longer touch.
     """
     zone = window.within(window.fillable & ~occupied, reach) & window.fillable
     u = diffuse(window, occupied, n_substeps)
@@ -179,7 +179,7 @@ def level_set(
 
 
 def _components(window: Window, zone: np.ndarray) -> list[np.ndarray]:
-    """Flat indices of each connected piece of a zone: (size,) bool -> list of (n_sites,) int64."""
+    """Return the flat indices of each connected component of a zone: (size,) bool -> list of (n_sites,) int64."""
     structure = np.zeros((3,) * window.lattice.ndim, bool)
     structure[tuple((window.lattice.neighbours + 1).T)] = True
     structure[(1,) * window.lattice.ndim] = True

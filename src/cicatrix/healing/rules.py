@@ -1,4 +1,4 @@
-"""What a cell of the automaton does in one step."""
+"""Rules of the automaton: probabilities and other parameters of one step."""
 
 from __future__ import annotations
 
@@ -13,24 +13,25 @@ REDISTRIBUTIONS = ("route", "level-set")
 
 @dataclass(frozen=True, kw_only=True)
 class AutomatonRules:
-    """What a cell does in one step.
+    """Probabilities and other parameters of one step of the automaton.
 
     Parameters
     ----------
     p_edge : float
-        Probability that a cell with a free neighbour divides into it [1].
+        Probability that a cell with a free neighbour site divides into that site [1].
     p_layer : float
         Probability p0 that a cell of the active layer divides, without feedback [1].
     layer_sites : int
-        Thickness of the active layer: hop distance from the nearest empty site. 0: no layer.
+        Thickness of the active layer, as the hop distance from the nearest empty site. 0: no layer.
     motility_substeps : int
-        Diffusion sub-steps per step. 0: cells stay where they are.
+        Number of diffusion sub-steps per step. 0: no motility.
     redistribution : "route" or "level-set"
-        Where daughters of the layer go: along noisy shortest paths, or by diffusion and level set.
+        How daughters of the layer reach the wound: along noisy shortest paths, or by diffusion and a level set.
     feedback : float
-        F(W) = feedback W / W_ref; 0 is one-way coupling [1].
+        Factor of the mechanical feedback F(W) = feedback W / W_ref; the division probability in the layer is
+        p_layer (1 + F). 0: one-way coupling [1].
     min_free_neighbours : int
-        Contact inhibition: a cell divides at the edge only with at least so many free neighbours.
+        Contact inhibition: smallest number of free neighbours with which a cell divides at the edge.
     path_noise : float
         Largest random addition to the cost of a site on a path, as a fraction of the cost of a hop [1].
 

@@ -1,4 +1,4 @@
-"""Cells and cytokine on a deforming body: diffusion, chemotaxis and haptotaxis between nodes, sources at nodes."""
+"""Transport of cells and cytokine in a deforming body: diffusion, chemotaxis, haptotaxis and sources, by finite elements."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 from jax import Array
 
-from ..biology.turnover import Contents, Turnover
+from ..biology.turnover import Densities, Turnover
 from ..core.law import Law, param
 from ..mechanics.pattern import Pattern
 from ..mechanics.space import AnySpace
@@ -20,25 +20,25 @@ from ..numerics.factors import check_finite
 from ..numerics.linear import gmres
 from ..numerics.tensors import inv, right_cauchy_green
 
-EXACT, MOST_STEPS = 1e-10, 300  # of a linear system: residual over right-hand side, and Krylov steps
+EXACT, MAX_KRYLOV_ITERATIONS = 1e-10, 300  # linear systems: relative residual and maximum number of Krylov iterations
 
 
 class Mobility(Law):
-    r"""How cells and cytokine move, on the reference configuration.
+    r"""Coefficients of the fluxes of cells and cytokine in the reference configuration.
 
     .. math::
         Q_\rho &= -C^{-1} (D_\rho \nabla\rho + D_{\rho,c} \, \rho \nabla c + D_{\rho,\varphi} \, \rho \nabla\varphi) \\
         Q_c &= -D_c C^{-1} \nabla c
 
-    Source: Guo, Mofrad & Buganza Tepole, Eq. (16), and docs/theory/wound.md, which the signs are from: cells go to where there is
-    more cytokine, or collagen, where the second, or third, coefficient is negative.
+    Source: Guo, Mofrad & Buganza Tepole, Eq. (16), with the signs of docs/theory/wound.md: cells move towards more cytokine if
+    D_rho,c is negative, and towards more collagen if D_rho,phi is negative.
 
     Parameters
     ----------
     D_rho, D_c : float [mm^2/s]
         Diffusivities.
     D_rho_c, D_rho_phi : float [mm^2/s]
-        Of chemotaxis and haptotaxis.
+        Coefficients of chemotaxis and haptotaxis.
     """
 
     D_rho: float = param("mm^2/s", "D_rho", low=0.0, default=0.0833 / 3600, typed="mm2/h")
@@ -49,49 +49,49 @@ class Mobility(Law):
 
 @dataclass(frozen=True, eq=False)
 class Transport:
-    """Where cells and cytokine are, and how much of them each node and element holds.
+    """Finite-element space of cells and cytokine, with its volumes and element matrices.
 
-    They are linear between the corners of elements (bilinear in quadrilaterals). Storage and sources are lumped at the nodes, and
-    what diffuses is limited where obtuse angles would draw it uphill (:func:`limited`): with sources that keep positive what is
-    positive, so does an implicit Euler step; and what leaves a node arrives at its neighbours, to rounding.
+    The fields are linear between the vertices of elements (bilinear in quadrilaterals). Storage and sources are lumped at the
+    nodes, and diffusion is limited where obtuse angles would cause flow from a node to a higher value (:func:`limited`). So an
+    implicit Euler step keeps positive fields positive if the sources do, and transport conserves the totals to rounding.
 
     Parameters
     ----------
     space : AnySpace
         The body's elements.
     X : (n_nodes, 3) array [mm]
-        Reference positions of its nodes.
-    held : (m,) int array
-        Nodes, of those that carry, where both fields keep the values that they have.
+        Reference positions of the nodes of the body.
+    fixed_vertices : (m,) int array
+        Vertex nodes, as indices into ``vertex_nodes``, at which both fields keep their present values (Dirichlet condition).
     """
 
     space: AnySpace
     X: np.ndarray
-    held: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
+    fixed_vertices: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
 
     @cached_property
-    def carriers(self) -> np.ndarray:
-        """Nodes of the body that carry (n,), ascending."""
+    def vertex_nodes(self) -> np.ndarray:
+        """Vertex nodes of the elements, which carry the fields (n,), ascending."""
         return np.unique(self.space.corners)
 
     @cached_property
-    def cells(self) -> np.ndarray:
-        """Carriers of each element (n_elements, a), by their place among the carriers."""
-        return np.searchsorted(self.carriers, self.space.corners)
+    def element_vertices(self) -> np.ndarray:
+        """Vertex nodes of each element (n_elements, a), as indices into ``vertex_nodes``."""
+        return np.searchsorted(self.vertex_nodes, self.space.corners)
 
     @property
     def n(self) -> int:
-        """Number of carriers."""
-        return len(self.carriers)
+        """Number of vertex nodes."""
+        return len(self.vertex_nodes)
 
     @cached_property
     def weights(self) -> np.ndarray:
-        """Reference volume (a sheet's area) of each quadrature point (n_elements, n_qp) [mm^3, mm^2]."""
+        """Reference volume (area of a sheet) of each quadrature point (n_elements, n_qp) [mm^3, mm^2]."""
         return self._geometry[0]
 
     @cached_property
     def slopes(self) -> np.ndarray:
-        """Gradient of each shape function (n_elements, n_qp, a, n_axes) [1/mm]."""
+        """Gradients of the linear shape functions at the quadrature points (n_elements, n_qp, a, n_axes) [1/mm]."""
         return self._geometry[1]
 
     @cached_property
@@ -103,63 +103,68 @@ class Transport:
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """Reference volume that each carrier stands for (n,) [mm^3, mm^2]."""
+        """Lumped reference volume (area of a sheet) of each vertex node (n,) [mm^3, mm^2]."""
         return self.summed(np.einsum("eq,qa->ea", self.weights, self.space.corner_table.value))
 
     def summed(self, parts: np.ndarray) -> np.ndarray:
-        """Sum parts of elements (n_elements, a) at the carriers (n,)."""
-        return np.bincount(self.cells.ravel(), weights=np.asarray(parts).ravel(), minlength=self.n)
+        """Sum element contributions (n_elements, a) at the vertex nodes (n,)."""
+        return np.bincount(self.element_vertices.ravel(), weights=np.asarray(parts).ravel(), minlength=self.n)
 
     def at_points(self, nodal: np.ndarray) -> np.ndarray:
-        """Values (n,) at quadrature points (n_elements, n_qp)."""
-        return np.asarray(nodal[self.cells] @ self.space.corner_table.value.T)
+        """Interpolate nodal values (n,) to the quadrature points (n_elements, n_qp)."""
+        return np.asarray(nodal[self.element_vertices] @ self.space.corner_table.value.T)
 
-    def at_carriers(self, points: np.ndarray) -> np.ndarray:
-        """Mean of what is about each carrier: (n_elements, n_qp) -> (n,)."""
+    def at_vertices(self, points: np.ndarray) -> np.ndarray:
+        """Average values at quadrature points around each vertex node: (n_elements, n_qp) -> (n,)."""
         parts = np.einsum("eq,qa->ea", self.weights * points, self.space.corner_table.value)
         return self.summed(parts) / self.volumes
 
     def total(self, nodal: np.ndarray) -> float:
-        """Integral over the reference body of a field (n,) [mm^3, mm^2]."""
+        """Return the integral of a nodal field (n,) over the reference body, in the field's unit times mm^3 (mm^2 in a sheet)."""
         return float(self.volumes @ nodal)
 
     @cached_property
     def free(self) -> np.ndarray:
-        """Carriers that are not held, ascending."""
-        return np.setdiff1d(np.arange(self.n), self.held)
+        """Vertex nodes whose values are not prescribed, as indices into ``vertex_nodes``, ascending."""
+        return np.setdiff1d(np.arange(self.n), self.fixed_vertices)
 
     @cached_property
     def pattern(self) -> Pattern:
-        """Of matrices on the free carriers, cells and cytokine of a node side by side."""
-        return Pattern([self.cells], self.free, self.n, components=2)
+        """Sparsity pattern of matrices on the free vertex nodes, with a 2 x 2 block of cells and cytokine per node pair."""
+        return Pattern([self.element_vertices], self.free, self.n, components=2)
 
     def stiffness(self, F: np.ndarray) -> np.ndarray:
-        """Integral of grad N_a . C^-1 grad N_b on a body deformed by F (n_elements, n_qp, 3, 3) -> (n_elements, a, a)."""
+        """Integrate grad N_a . C^-1 grad N_b over each element, deformed by F (n_elements, n_qp, 3, 3) -> (n_elements, a, a)."""
         return np.asarray(_stiffness(self.weights, self.slopes, F))
 
     def taxis(self, F: np.ndarray, cue: np.ndarray) -> np.ndarray:
-        """Integral of grad N_a . C^-1 grad(cue) N_b, cue (n,) -> (n_elements, a, a): what carries cells along it."""
-        return np.asarray(_taxis(self.weights, self.slopes, F, cue[self.cells], self.space.corner_table.value))
+        """Return element matrices of taxis along a field ``cue`` (n,) in a body deformed by F (n_elements, n_qp, 3, 3).
+
+        Integrals of grad N_a . C^-1 grad(cue) N_b -> (n_elements, a, a).
+        """
+        return np.asarray(
+            _taxis(self.weights, self.slopes, F, cue[self.element_vertices], self.space.corner_table.value)
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Flow:
-    """Cells and cytokine during a step: what moves them, and what makes them.
+    """Transport equations of cells and cytokine in one implicit Euler step: residual, tangent and Newton step.
 
     Parameters
     ----------
     on : Transport
-        Where.
+        Finite-element space.
     mobility : Mobility
-        Coefficients.
+        Diffusion and taxis coefficients.
     turnover : Turnover
-        Sources.
+        Source terms.
     F : (n_elements, n_qp, 3, 3) array [1]
-        Deformation at the end of the step.
+        Deformation gradient at the end of the step.
     signal : (n,) array [1]
-        H at the carriers.
+        Mechanical signal H at the vertex nodes.
     collagen : (n,) array [1]
-        phi at the carriers; read if there is haptotaxis.
+        Collagen phi at the vertex nodes; used only if there is haptotaxis.
     """
 
     on: Transport
@@ -178,36 +183,36 @@ class Flow:
         D = self.mobility.D_rho_phi
         return D * self.on.taxis(self.F, self.collagen) if D else 0.0
 
-    def _moving(self, rho: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Matrices of what leaves each corner of each element (n_elements, a, a), of cells and cytokine."""
-        m, cells = self.mobility, self.on.cells
-        going = limited(m.D_rho * self._stiffness, rho[cells]) + self._haptotaxis
+    def _outflow_matrices(self, rho: np.ndarray, c: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the element matrices of the outflow from each vertex (n_elements, a, a), for cells and for cytokine."""
+        m, vertices = self.mobility, self.on.element_vertices
+        going = limited(m.D_rho * self._stiffness, rho[vertices]) + self._haptotaxis
         if m.D_rho_c:
             going = going + m.D_rho_c * self.on.taxis(self.F, c)
-        return going, limited(m.D_c * self._stiffness, c[cells])
+        return going, limited(m.D_c * self._stiffness, c[vertices])
 
-    def leaving(self, rho: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """What leaves each carrier for its neighbours: (n,), (n,) -> (n, 2) [1/s, times its volume]."""
-        both = zip(self._moving(rho, c), (rho, c))
-        parts = [(moving @ values[self.on.cells][..., None])[..., 0] for moving, values in both]
+    def outflux(self, rho: np.ndarray, c: np.ndarray) -> np.ndarray:
+        """Return the net outflow from each vertex node to its neighbours: (n,), (n,) -> (n, 2) [1/s times nodal volume]."""
+        both = zip(self._outflow_matrices(rho, c), (rho, c))
+        parts = [(moving @ values[self.on.element_vertices][..., None])[..., 0] for moving, values in both]
         return np.stack([self.on.summed(part) for part in parts], axis=-1)
 
     def sources(self, rho: np.ndarray, c: np.ndarray) -> np.ndarray:
-        """s_rho and s_c at the carriers: (n,), (n,) -> (n, 2) [1/s]."""
+        """Return the source terms s_rho and s_c at the vertex nodes: (n,), (n,) -> (n, 2) [1/s]."""
         return np.asarray(_sources(self.turnover, rho, c, self.signal))
 
     def residual(self, nodal: np.ndarray, start: np.ndarray, dt: float) -> np.ndarray:
-        """Imbalance of an implicit Euler step: (n, 2), (n, 2) [1], dt [s] -> (n, 2) [1/s, times volume]."""
+        """Return the residual of an implicit Euler step: (n, 2), (n, 2) [1], dt [s] -> (n, 2) [1/s times nodal volume]."""
         rho, c = nodal.T
         stored = (nodal - start) / dt - self.sources(rho, c)
-        return self.on.volumes[:, None] * stored + self.leaving(rho, c)
+        return self.on.volumes[:, None] * stored + self.outflux(rho, c)
 
     def tangent(self, nodal: np.ndarray, dt: float) -> sp.bsr_array:
-        """Derivative of the residual on the free carriers, limiters as they are."""
+        """Return the derivative of the residual on the free vertex nodes, with the limiter factors frozen."""
         rho, c = nodal.T
         K, m, on = self._stiffness, self.mobility, self.on
-        blocks = np.zeros((*K.shape[:2], 3, K.shape[2], 3))  # of three components the pattern takes the first two
-        blocks[:, :, 0, :, 0], blocks[:, :, 1, :, 1] = self._moving(rho, c)
+        blocks = np.zeros((*K.shape[:2], 3, K.shape[2], 3))  # the pattern uses the first two of three components
+        blocks[:, :, 0, :, 0], blocks[:, :, 1, :, 1] = self._outflow_matrices(rho, c)
         if m.D_rho_c:
             here = on.at_points(rho)
             blocks[:, :, 0, :, 1] += m.D_rho_c * np.asarray(_stiffness(on.weights * here, on.slopes, self.F))
@@ -220,8 +225,8 @@ class Flow:
         on.pattern.add_diagonal(data, local[on.free])
         return on.pattern.matrix(data, np.zeros(on.pattern.n_dofs))
 
-    def improved(self, nodal: np.ndarray, start: np.ndarray, dt: float) -> np.ndarray:
-        """Fields (n, 2) after one iteration of Newton's method; raises FloatingPointError as :func:`solve`."""
+    def newton_step(self, nodal: np.ndarray, start: np.ndarray, dt: float) -> np.ndarray:
+        """Return the fields (n, 2) after one Newton iteration; raises FloatingPointError as :func:`solve` does."""
         free, out = self.on.free, nodal.copy()
         wrong = self.residual(nodal, start, dt)[free]
         out[free] -= solve(self.tangent(nodal, dt), wrong.ravel()).reshape(-1, 2)
@@ -229,11 +234,12 @@ class Flow:
 
 
 def limited(stiffness: np.ndarray, values: np.ndarray) -> np.ndarray:
-    r"""Element matrices of diffusion (n_elements, a, a) that draw no more out of a node than a share of what it holds.
+    r"""Limit the element matrices of diffusion (n_elements, a, a) so that an implicit step cannot make a field negative.
 
-    Between nodes i and j of an obtuse angle the entry :math:`k_{ij}` is positive, and so what is at j draws on i. Only
-    :math:`\min(u_i, u_j) / \max(u_i, u_j)` of it is left, the rest goes to the diagonal: rows and columns still add up to 0,
-    fields that vary little are hardly changed, and the draw on i is below :math:`k_{ij} u_i`. Values (n_elements, a).
+    With an obtuse angle in the element, an off-diagonal entry :math:`k_{ij}` can be positive; then a positive value at node j
+    lowers the value at node i, possibly below 0. Only the fraction :math:`\min(u_i, u_j) / \max(u_i, u_j)` of such an entry is
+    kept, and the rest is added to the diagonal. Rows and columns still sum to 0, smooth fields hardly change, and the term
+    :math:`k_{ij} u_j` becomes at most :math:`k_{ij} u_i`. ``values``: u (n_elements, a).
     """
     a = stiffness.shape[1]
     if not (stiffness[:, ~np.eye(a, dtype=bool)] > 0.0).any():
@@ -246,14 +252,14 @@ def limited(stiffness: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 def solve(matrix: sp.bsr_array, rhs: np.ndarray) -> np.ndarray:
-    """Solve a flow's linear system (n,) by generalised minimal residuals, the blocks of nodes as preconditioner.
+    """Solve a linear system of transport (n,) by GMRES with a block-Jacobi preconditioner (one 2 x 2 block per node).
 
-    What is stored at a node outweighs what leaves it, unless steps are long for the elements, so a few iterations do.
+    Unless the time step is long for the size of the elements, storage dominates transport, and a few iterations suffice.
 
     Raises
     ------
     FloatingPointError
-        Where they do not, or the matrix is not finite.
+        If the iteration does not converge, or the matrix is not finite.
     """
     check_finite(matrix)
     rows = np.repeat(np.arange(len(matrix.indptr) - 1), np.diff(matrix.indptr))
@@ -264,14 +270,16 @@ def solve(matrix: sp.bsr_array, rhs: np.ndarray) -> np.ndarray:
 
     if not rhs.any():
         return np.zeros_like(rhs)
-    found, _ = gmres(matrix, rhs, precondition, EXACT, MOST_STEPS)
+    found, _ = gmres(matrix, rhs, precondition, EXACT, MAX_KRYLOV_ITERATIONS)
     if found is None:
-        raise FloatingPointError(f"transport's linear system was not solved in {MOST_STEPS} steps")
+        raise FloatingPointError(
+            f"the linear system of transport did not converge in {MAX_KRYLOV_ITERATIONS} GMRES iterations"
+        )
     return found
 
 
 def _metric(F: Array, axes: int) -> Array:
-    """C^-1 in the axes of the elements (..., axes, axes)."""
+    """Return C^-1 in the first ``axes`` coordinates at a deformation gradient F (..., 3, 3): (..., axes, axes) [1]."""
     F = F[..., :axes, :axes]
     if axes == 2:
         C = [[jnp.sum(F[..., :, i] * F[..., :, j], axis=-1) for j in range(2)] for i in range(2)]
@@ -294,7 +302,7 @@ def _taxis(weights: Array, slopes: Array, F: Array, cue: Array, value: Array) ->
 
 
 def _pair(turnover: Turnover, rho: Array, c: Array, signal: Array) -> Array:
-    made = turnover.rates(Contents(rho, c, jnp.zeros_like(rho)), signal)
+    made = turnover.rates(Densities(rho, c, jnp.zeros_like(rho)), signal)
     return jnp.stack([made.rho, made.c], axis=-1)
 
 

@@ -1,4 +1,4 @@
-"""A box of a lattice with a border of unfillable sites, flattened: a neighbour is a fixed shift of the flat index."""
+"""Rectangular window of a lattice as a flat array: a neighbour is a fixed shift of the flat index."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from ..geometry.hexgrid import Lattice
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """Sites ``low`` (included) to ``high`` (excluded) of a lattice, one border site added on every side.
+    """Sites ``low`` (included) to ``high`` (excluded) of a lattice, with one border site added on every side.
 
     A flat array over the window has ``size`` entries; "flat index" means an index into it. Border sites count as
-    unfillable, so what lies outside the window is never read and never written.
+    unfillable, so sites outside the window are never read or written.
 
     Parameters
     ----------
     lattice : Lattice
         The whole lattice.
     mask : bool array of the lattice's shape
-        Sites that may ever hold a cell.
+        Sites that can be occupied by a cell.
     low, high : tuple of int
-        The box on each axis.
+        Range of sites on each axis.
     """
 
     lattice: Lattice
@@ -34,12 +34,12 @@ class Window:
 
     @classmethod
     def whole(cls, lattice: Lattice, mask: np.ndarray) -> Window:
-        """Return the window that is the whole lattice."""
+        """Return the window that covers the whole lattice."""
         return cls(lattice, mask, (0,) * lattice.ndim, lattice.shape)
 
     @classmethod
     def around(cls, lattice: Lattice, mask: np.ndarray, sites: np.ndarray, margin: int) -> Window:
-        """Bounding box of the marked sites (bool, at least one) and ``margin`` sites more, cut at the frame."""
+        """Return the bounding box of the marked sites (bool, at least one), enlarged by ``margin``, within the lattice."""
         axes = range(lattice.ndim)
         marked = [np.flatnonzero(sites.any(axis=tuple(b for b in axes if b != a))) for a in axes]
         low = tuple(max(0, int(m[0]) - margin) for m in marked)
@@ -48,38 +48,38 @@ class Window:
 
     @property
     def is_whole(self) -> bool:
-        """Whether nothing of the lattice lies outside."""
+        """True if the window covers the whole lattice."""
         return self.low == (0,) * self.lattice.ndim and self.high == self.lattice.shape
 
     @property
     def box(self) -> tuple[slice, ...]:
-        """Where the window lies in an array over the lattice."""
+        """Slices that select the window in an array of the lattice's shape."""
         return tuple(slice(a, b) for a, b in zip(self.low, self.high))
 
     @property
     def shape(self) -> tuple[int, ...]:
-        """Sites along each axis, border included."""
+        """Number of sites along each axis, border included."""
         return tuple(b - a + 2 for a, b in zip(self.low, self.high))
 
     @cached_property
     def shifts(self) -> np.ndarray:
-        """Flat shift to each neighbour, in the lattice's order: (n_neighbours,) int64."""
+        """Shift of the flat index to each neighbour, in the lattice's order: (n_neighbours,) int64."""
         strides = np.cumprod((1, *self.shape[:0:-1]))[::-1]
         return self.lattice.neighbours @ strides
 
     @cached_property
     def fillable(self) -> np.ndarray:
-        """Sites that may ever hold a cell; false on the border: (size,) bool."""
+        """Sites that can be occupied by a cell; false on the border: (size,) bool."""
         return self.cut(self.mask)
 
     def cut(self, values: np.ndarray) -> np.ndarray:
-        """Flat copy of a lattice array, zero on the border: (*lattice.shape) -> (size,)."""
+        """Return the window's part of a lattice array as a flat array, zero on the border: (*lattice.shape) -> (size,)."""
         padded = np.zeros(self.shape, values.dtype)
         padded[(slice(1, -1),) * self.lattice.ndim] = values[self.box]
         return padded.ravel()
 
     def paste(self, flat: np.ndarray, onto: np.ndarray) -> np.ndarray:
-        """Copy of ``onto`` (*lattice.shape) with the window's sites replaced by those of ``flat`` (size,)."""
+        """Return a copy of ``onto`` (*lattice.shape) with the window's sites replaced by those of ``flat`` (size,)."""
         result = onto.copy()
         result[self.box] = flat.reshape(self.shape)[(slice(1, -1),) * self.lattice.ndim]
         return result
@@ -90,7 +90,7 @@ class Window:
         return np.ravel_multi_index([i - 1 + a for i, a in zip(inner, self.low)], self.lattice.shape)
 
     def beside(self, marked: np.ndarray) -> np.ndarray:
-        """Fillable or not, every inner site that is marked or has a marked neighbour: (size,) bool -> (size,) bool."""
+        """Return the inner sites that are marked or have a marked neighbour, fillable or not: (size,) bool -> (size,) bool."""
         wide = marked.copy()
         reach = int(abs(self.shifts).max())
         inner = slice(reach, wide.size - reach)
@@ -99,7 +99,7 @@ class Window:
         return wide & self._inner
 
     def within(self, marked: np.ndarray, n_hops: int) -> np.ndarray:
-        """Return the inner sites within a hop distance of a marked one: (size,) bool -> (size,) bool."""
+        """Return the inner sites within ``n_hops`` hops of a marked site: (size,) bool -> (size,) bool."""
         for _ in range(n_hops):
             marked = self.beside(marked)
         return marked

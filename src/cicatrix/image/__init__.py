@@ -1,1 +1,1 @@
-"""Voxels to labels."""
+"""Segmentation of medical images: from voxels to tissue labels and probabilities."""

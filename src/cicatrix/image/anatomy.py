@@ -1,4 +1,4 @@
-"""Geometry of the digital breast: which tissue lies at a point, by implicit surfaces in millimetres."""
+"""Geometry of the digital breast phantom: the tissue at a point, defined by implicit surfaces [mm]."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from enum import IntEnum
 
 import numpy as np
 
-SKIN_MM = 1.45  # PHYSICS section 6
-SUBCUTANEOUS_MM = 11.0  # skin and fat over the chest beside the breast
-FILLET_MM = 8.0  # rounding where the breast meets the chest
+SKIN_MM = 1.45  # thickness of the skin
+SUBCUTANEOUS_MM = 11.0  # thickness of skin and fat over the chest beside the breast
+FILLET_MM = 8.0  # width of the rounding between breast and chest
 NIPPLE_MM = 5.0
 MUSCLE_MM = 12.0
 RIB_MM = 9.0
-WALL_RADIUS_MM = (220.0, 700.0)  # curvature of the chest wall across and along the body
-MIDLINE_MM = 78.0  # breast centre to midline
+WALL_RADIUS_MM = (220.0, 700.0)  # radii of curvature of the chest wall across and along the body
+MIDLINE_MM = 78.0  # distance of the breast centre from the midline
 N_LOBES = 16
 
 
 class Part(IntEnum):
-    """What the phantom is made of; finer than the labels, because chest tissues differ in brightness."""
+    """Tissue of the phantom; finer than `Label`, because the tissues of the chest differ in brightness."""
 
     AIR = 0
     FAT = 1
@@ -34,8 +34,8 @@ class Part(IntEnum):
 
 
 @dataclass(frozen=True)
-class Anatomy:
-    """A half-ellipsoid breast on a curved chest wall, nipple towards -y, breast centre on the wall at the origin.
+class PhantomAnatomy:
+    """Half-ellipsoid breast on a curved chest wall; the nipple points to -y, the origin is the breast's centre on the wall.
 
     Parameters
     ----------
@@ -46,13 +46,13 @@ class Anatomy:
     lobe_axes : (n_lobes, 3) array
         Unit vectors from the nipple into the breast.
     waves, phases : (n_waves, 3) array [1/mm], (n_waves,) array
-        Random cosines that make the outlines irregular.
+        Wave vectors and phases of random cosines that make the outlines irregular.
     gland_level : float
-        The gland is where the lobe score exceeds this level [mm].
+        Value of ``lobe_score`` above which the tissue is gland [mm].
     tumour_centre_mm : (3,) array
         Centre of the tumour [mm].
     tumour_radius_mm : float
-        Its mean radius [mm]; 0 for none.
+        Mean radius of the tumour [mm]; 0 for none.
     """
 
     half_axes_mm: np.ndarray
@@ -65,19 +65,19 @@ class Anatomy:
     tumour_radius_mm: float
 
     def height(self, p: np.ndarray) -> np.ndarray:
-        """Distance in front of the chest wall along y: points (3, n) [mm] -> (n,) [mm]."""
+        """Return the height of points in front of the chest wall, along y: points (3, n) [mm] -> (n,) [mm]."""
         across, along = WALL_RADIUS_MM
         x = p[0] - self.medial * MIDLINE_MM
         return (x * x - MIDLINE_MM**2) * (0.5 / across) + p[2] * p[2] * (0.5 / along) - p[1]
 
     def outside(self, q: np.ndarray) -> np.ndarray:
-        """Signed distance to the outer surface, negative inside: (3, n) x, height, z [mm] -> (n,) [mm]."""
+        """Return the signed distance to the outer surface, negative inside: (3, n) x, height, z [mm] -> (n,) [mm]."""
         breast = _ellipsoid(q, self.half_axes_mm)
         torso = 0.95 * (q[1] - SUBCUTANEOUS_MM)
         return _smooth_union(_smooth_union(breast, self._from_nipple(q) - NIPPLE_MM, 2.0), torso, FILLET_MM)
 
     def lobe_score(self, q: np.ndarray) -> np.ndarray:
-        """How deep inside a lobe: (3, n) x, height, z [mm] -> (n,) [mm]; negative in fat layers."""
+        """Return the depth inside a gland lobe: (3, n) x, height, z [mm] -> (n,) [mm]; negative in the fat between lobes."""
         x, y, z = q[0], q[1] - float(self.half_axes_mm[1] - 2.0), q[2]
         r = np.sqrt(x * x + y * y + z * z)
         cosine = (self.lobe_axes.astype(q.dtype) @ np.stack([x, y, z])).max(axis=0) / np.maximum(r, 1e-3)
@@ -87,12 +87,12 @@ class Anatomy:
         return np.minimum(score, rim - 3.0)
 
     def roughness(self, q: np.ndarray) -> np.ndarray:
-        """Smooth random field of unit variance: points (3, n) [mm] -> (n,)."""
+        """Return a smooth random field of unit variance, a sum of cosines, at points: (3, n) [mm] -> (n,) [1]."""
         angles = self.waves.astype(q.dtype) @ q + self.phases.astype(q.dtype)[:, None]
         return np.cos(angles).sum(axis=0) * float(np.sqrt(2 / len(self.phases)))
 
     def parts(self, p: np.ndarray) -> np.ndarray:
-        """Tissue at points: (3, n) [mm] -> (n,) uint8 of `Part`."""
+        """Return the tissue at points: (3, n) [mm] -> (n,) uint8 of `Part`."""
         q = np.stack([p[0], self.height(p), p[2]])
         outside = self.outside(q)
         out = np.full(q.shape[1], Part.AIR, np.uint8)
@@ -104,12 +104,12 @@ class Anatomy:
         return out
 
     def is_breast(self, q: np.ndarray) -> np.ndarray:
-        """In front of the wall and within the foot of the breast: (3, n) x, height, z -> (n,) bool."""
+        """Check which points lie in front of the wall and within the base of the breast: (3, n) x, height, z -> (n,) bool."""
         across, up = (float(1 / h**2) for h in self.half_axes_mm[[0, 2]])
         return (q[1] > 0) & (q[0] * q[0] * across + q[2] * q[2] * up < 1)
 
     def _breast(self, q: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Fat, gland, skin or tumour at points of the breast."""
+        """Return the tissue at points of the breast (fat, gland, skin, tumour): positions (3, n), depths (n,) [mm] -> (n,)."""
         out = np.where(self.lobe_score(q) > self.gland_level, np.uint8(Part.GLAND), np.uint8(Part.FAT))
         out[self._from_nipple(q) < NIPPLE_MM + 1] = Part.GLAND
         if self.tumour_radius_mm > 0:
@@ -121,7 +121,10 @@ class Anatomy:
         return out
 
     def _chest(self, q: np.ndarray, depth: np.ndarray) -> np.ndarray:
-        """Skin and fat over the chest, muscle, ribs every 26 mm, lung."""
+        """Return the tissue at points of the chest (skin, fat, muscle, rib, lung): positions (3, n), depths (n,) [mm] -> (n,).
+
+        Ribs are 26 mm apart.
+        """
         a = q[1]
         out = np.where(a > -MUSCLE_MM - RIB_MM - 4, np.uint8(Part.MUSCLE), np.uint8(Part.LUNG))
         centre = -MUSCLE_MM - RIB_MM / 2
@@ -133,7 +136,10 @@ class Anatomy:
         return out
 
     def _from_nipple(self, q: np.ndarray) -> np.ndarray:
-        """Distance to the nipple's centre: (3, n) x, height, z [mm] -> (n,) [mm]."""
+        """Return the distance of points from the nipple's centre: (3, n) [mm] -> (n,) [mm].
+
+        The coordinates of a point are x, height in front of the chest wall, and z.
+        """
         y = q[1] - float(self.half_axes_mm[1])
         return np.sqrt(q[0] * q[0] + y * y + q[2] * q[2])
 
@@ -145,35 +151,38 @@ def draw(
     gland_fraction: float | None,
     tumour_centre_mm: np.ndarray | None,
     tumour_radius_mm: float,
-) -> Anatomy:
-    """Draw lobes, irregularity and what was left open (gland fraction 15-25 %, tumour place) from ``rng``."""
+) -> PhantomAnatomy:
+    """Draw a random anatomy: lobes, irregular outlines and, if not given, gland fraction (15-25 %) and tumour position."""
     fraction = rng.uniform(0.15, 0.25)
     fraction = fraction if gland_fraction is None else gland_fraction
     waves = rng.normal(size=(12, 3))
     waves *= 2 * np.pi / (rng.uniform(7, 24, size=(12, 1)) * np.linalg.norm(waves, axis=1, keepdims=True))
     phases = rng.uniform(0, 2 * np.pi, 12)
     side, depth, up = rng.uniform(0.15, 0.4), rng.uniform(0.4, 0.6), rng.uniform(0.05, 0.35)
-    place = np.array([-medial * side, depth, up]) * half_axes_mm  # upper outer quadrant, the commonest
+    place = np.array([-medial * side, depth, up]) * half_axes_mm  # upper outer quadrant, the most common site
     centre = place if tumour_centre_mm is None else tumour_centre_mm
-    open_level = Anatomy(
+    open_level = PhantomAnatomy(
         half_axes_mm, medial, _lobe_axes(rng), waves, phases, 0.0, np.asarray(centre, float), tumour_radius_mm
     )
     level = _level_for(open_level, fraction, rng)
-    return Anatomy(
+    return PhantomAnatomy(
         half_axes_mm, medial, open_level.lobe_axes, waves, phases, level, open_level.tumour_centre_mm, tumour_radius_mm
     )
 
 
 def _lobe_axes(rng: np.random.Generator) -> np.ndarray:
-    """Jittered directions over a cone of 75 degrees around the way into the breast, (N_LOBES, 3)."""
+    """Return unit vectors (N_LOBES, 3) from the nipple into the breast.
+
+    They are spread over a cone of half-angle 75 degrees around the breast's axis, and randomly perturbed.
+    """
     k = np.arange(N_LOBES)
     polar = np.deg2rad(75) * np.sqrt((k + 0.5) / N_LOBES) + rng.normal(0, 0.05, N_LOBES)
     turn = k * np.pi * (3 - np.sqrt(5)) + rng.normal(0, 0.15, N_LOBES)
     return np.stack([np.sin(polar) * np.cos(turn), -np.cos(polar), np.sin(polar) * np.sin(turn)], axis=-1)
 
 
-def _level_for(anatomy: Anatomy, fraction: float, rng: np.random.Generator) -> float:
-    """Lobe score above which ``fraction`` of the breast inside its skin lies."""
+def _level_for(anatomy: PhantomAnatomy, fraction: float, rng: np.random.Generator) -> float:
+    """Return the value of ``lobe_score`` [mm] that a given fraction of the breast's volume inside the skin exceeds."""
     q = (rng.uniform(-1, 1, size=(60000, 3)) * anatomy.half_axes_mm).T
     q[1] = np.abs(q[1])
     q = q[:, _ellipsoid(q, anatomy.half_axes_mm) < -SKIN_MM]
@@ -181,7 +190,7 @@ def _level_for(anatomy: Anatomy, fraction: float, rng: np.random.Generator) -> f
 
 
 def _ellipsoid(q: np.ndarray, half_axes: np.ndarray) -> np.ndarray:
-    """First-order signed distance to an ellipsoid about the origin: (3, n) -> (n,)."""
+    """Return the signed distance of points from an ellipsoid around the origin, to first order: (3, n) [mm] -> (n,) [mm]."""
     inverse = (1 / half_axes**2).astype(q.dtype)
     square = q * q
     k0 = np.sqrt(inverse @ square)
@@ -190,6 +199,6 @@ def _ellipsoid(q: np.ndarray, half_axes: np.ndarray) -> np.ndarray:
 
 
 def _smooth_union(a: np.ndarray, b: np.ndarray, width: float) -> np.ndarray:
-    """Polynomial smooth minimum of two distances; rounds the corner over ``width``."""
+    """Return the polynomial smooth minimum of two signed distances: the union of both shapes, rounded over ``width`` [mm]."""
     h = np.maximum(width - np.abs(a - b), 0.0)
     return np.minimum(a, b) - h * h / (4 * width)

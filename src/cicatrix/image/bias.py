@@ -1,18 +1,25 @@
-"""Removal of the slow brightness drift of surface coils (N4)."""
+"""Correction of the bias field, the slow brightness variation of surface coils (N4)."""
 
 from __future__ import annotations
 
-import numpy as np
-import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
+from typing import TYPE_CHECKING
 
+import numpy as np
+
+from ..core.deferred import Deferred
 from ..geometry.volume import Volume
 
-COARSE_MM = 5.5  # the field is smoother than this by far
+if TYPE_CHECKING:
+    import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
+else:
+    sitk = Deferred("SimpleITK")
+
+COARSE_MM = 5.5  # voxel edge of the grid on which the bias field, which is much smoother, is estimated
 ITERATIONS = (30, 20, 15)
 
 
 def remove_bias(image: Volume, mask: np.ndarray) -> Volume:
-    """Divide by the bias field that N4 finds on a shrunken grid; its logarithm is interpolated to full resolution.
+    """Divide an image by its bias field, which N4 estimates on a coarse grid; the log field is interpolated to full resolution.
 
     Source: Tustison et al., N4ITK: improved N3 bias correction, IEEE TMI 29 (2010).
 
@@ -21,7 +28,7 @@ def remove_bias(image: Volume, mask: np.ndarray) -> Volume:
     image : Volume
         (nz, ny, nx) intensities >= 0.
     mask : (nz, ny, nx) bool array
-        The body; only its voxels shape the field.
+        Voxels of the body; the field is estimated from these alone.
 
     Returns
     -------
@@ -45,7 +52,7 @@ def remove_bias(image: Volume, mask: np.ndarray) -> Volume:
 
 
 def _to_itk(values: np.ndarray, grid: Volume) -> sitk.Image:
-    """Voxels with their geometry."""
+    """Convert voxel values to a SimpleITK image with the spacing and origin of a grid."""
     image = sitk.GetImageFromArray(values)
     image.SetSpacing([float(s) for s in grid.spacing_mm])
     image.SetOrigin([float(o) for o in grid.origin_mm])

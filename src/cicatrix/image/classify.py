@@ -1,4 +1,4 @@
-"""Tissue classes of the breast with probabilities."""
+"""Classification of breast voxels: probabilities of gland and skin, and detection of a bright tumour."""
 
 from __future__ import annotations
 
@@ -8,16 +8,16 @@ from scipy import ndimage as ndi
 from ..geometry.volume import Volume
 from .anatomy import SKIN_MM
 
-FIELD_MM = 22.0  # residual bias is smoother than this
+FIELD_MM = 22.0  # standard deviation of the smoothing that estimates the residual bias field
 ROUNDS = 3
 
 
 def gland_probability(image: Volume, inside: np.ndarray, fat_bright: bool) -> np.ndarray:
-    """Probability of gland against fat: (nz, ny, nx) image, bool mask -> (nz, ny, nx) float32, 0 outside the mask.
+    """Return the probability of gland against fat: (nz, ny, nx) image, bool mask -> (nz, ny, nx) float32, 0 outside the mask.
 
-    Soft two-means on the intensity that alternates with a smooth log-bias estimated from the fat (in the manner of
-    Wells et al., IEEE TMI 15 (1996)); then one mean-field step towards the neighbourhood's mean, the spatial prior.
-    A Gaussian mixture was tried and dropped: fat is so narrow that every partial-volume voxel became gland.
+    Soft two-means clustering of the intensity alternates with the estimate of a smooth log bias field from the fat (after
+    Wells et al., IEEE TMI 15 (1996)); one final mean-field step towards the mean of the neighbourhood acts as a spatial prior.
+    A Gaussian mixture is not used: the peak of fat is so narrow that every partial-volume voxel would become gland.
     """
     floor = 0.02 * float(np.median(image.values[inside])) + 1e-6
     log = np.log(np.maximum(image.values, floor)).astype(np.float32)
@@ -34,10 +34,11 @@ def gland_probability(image: Volume, inside: np.ndarray, fat_bright: bool) -> np
 
 
 def _soft_two_means(v: np.ndarray, fat_bright: bool, n_iterations: int = 25) -> np.ndarray:
-    """Membership of gland: intensities (n,) -> (n,).
+    """Return the membership in gland by soft two-means clustering: intensities (n,) -> (n,).
 
-    The mixing fraction f between the means of fat and gland goes through a logistic at f = 1/2. The mean of gland is
-    kept at most 0.6 of fat's (T1) or at least 1.6 times it (fat-saturated): a breast without gland is not split in two.
+    The membership is a logistic function, centred at 1/2, of the mixing fraction between the means of fat and gland. The
+    mean of gland is limited to at most 0.6 (T1) or at least 1.6 times (fat-saturated) that of fat, so that a breast
+    without gland is not split in two.
     """
     sample = v[:: max(len(v) // 60000, 1)]
     fat, gland = np.quantile(sample, [0.7, 0.05] if fat_bright else [0.3, 0.97])
@@ -51,13 +52,13 @@ def _soft_two_means(v: np.ndarray, fat_bright: bool, n_iterations: int = 25) -> 
 
 
 def _logistic(v: np.ndarray, fat: float, gland: float) -> np.ndarray:
-    """Membership of gland from the mixing fraction between two means."""
+    """Return the membership in gland, a logistic function of the mixing fraction between both mean intensities: (n,) -> (n,)."""
     fraction = (v - fat) / (gland - fat)
     return 1 / (1 + np.exp(-np.clip(12 * (fraction - 0.5), -30, 30)))
 
 
 def _spatial(p: np.ndarray, inside: np.ndarray, spacing_mm: tuple[float, float, float]) -> np.ndarray:
-    """One mean-field step: odds times the neighbourhood's, 1 mm wide."""
+    """Return probabilities after a mean-field step: the odds of a voxel times those of its neighbourhood (Gaussian, 0.7 mm)."""
     sigma = [0.7 / s for s in spacing_mm[::-1]]
     weight = ndi.gaussian_filter(inside.astype(np.float32), sigma)
     near = ndi.gaussian_filter(np.where(inside, p, 0), sigma) / np.maximum(weight, 1e-3)
@@ -66,25 +67,26 @@ def _spatial(p: np.ndarray, inside: np.ndarray, spacing_mm: tuple[float, float, 
 
 
 def skin_probability(body: np.ndarray, spacing_mm: tuple[float, float, float]) -> np.ndarray:
-    """Part of each body voxel within 1.45 mm of the air: (nz, ny, nx) bool -> (nz, ny, nx) float32."""
+    """Return the fraction of each body voxel within 1.45 mm of the air: (nz, ny, nx) bool -> (nz, ny, nx) float32."""
     size = np.asarray(spacing_mm)[::-1]
     distance, nearest = ndi.distance_transform_edt(body, sampling=size, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
     step = np.abs(np.indices(body.shape) - nearest) * size[:, None, None, None]
     length = np.maximum(distance, 1e-6)
     edge = np.sqrt(
         ((step / length * size[:, None, None, None]) ** 2).sum(axis=0)
-    )  # voxel edge along the way to the air
-    depth = distance - 0.5 * edge  # of the voxel's centre below the surface
+    )  # extent of the voxel in the direction to the air
+    depth = distance - 0.5 * edge  # depth of the voxel's centre below the surface
     p = np.clip((SKIN_MM - depth) / np.maximum(edge, 1e-6) + 0.5, 0, 1)
     return np.where(body, p, 0).astype(np.float32)
 
 
 def bright_mass(image: Volume, inside: np.ndarray, centre_mm: tuple[float, float, float]) -> np.ndarray:
-    """Mark a bright compact mass near a point: (nz, ny, nx) bool, empty if there is none.
+    """Mark a bright compact mass near a point of a fat-saturated image: (nz, ny, nx) bool, empty if there is none.
 
-    Fat-saturated images only. Voxels brighter than halfway between the gland-like upper quartile and the brightest
-    within 8 mm of the point, connected to it, within 20 mm; refused if not compact (less than a third of the ball with
-    its greatest radius).
+    The threshold is halfway between the upper quartile of the breast (gland) and the 95th percentile within 8 mm of the
+    point. The mass is a connected component of the brighter voxels within 20 mm that reaches these 8 mm. It is rejected
+    unless compact: its volume must exceed a third of that of a ball whose radius is sqrt(5/3) times the root mean square
+    distance of its voxels from the point.
     """
     size = image.spacing_mm[::-1]
     smooth = ndi.gaussian_filter(image.values, [0.8 / s for s in size])

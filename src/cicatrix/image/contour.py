@@ -1,6 +1,6 @@
 """Localized region-based active contours in a narrow band, in any number of dimensions.
 
-Work happens on lists of sites of a padded grid: a site is one flat index, its neighbours lie a stride away.
+The computation uses lists of sites of a padded grid: a site is a flat index, and neighbours differ by the stride of an axis.
 """
 
 from __future__ import annotations
@@ -11,17 +11,18 @@ import numpy as np
 from scipy import ndimage as ndi
 
 FORCES = ("uniform", "separation")
-MARGIN = 3.0  # sites kept beyond the band, so that its stencils see a distance [voxel]
-STALE = 0.3  # way after which phi is made a distance again [voxel]
-SETTLED = 10  # iterations over which a settled contour must stay
+MARGIN = 3.0  # width beyond the band in which phi is also updated, for the stencils in the band [voxel]
+STALE = 0.3  # displacement of the contour after which phi is reinitialised as a distance [voxel]
+SETTLED = 10  # iterations over which the net displacement of a converged contour must be small
 
 
 @dataclass(frozen=True)
 class Contour:
-    """Where the evolution ended.
+    """Result of the evolution of an active contour.
 
-    ``phi`` is the signed distance, negative inside, cut off a little beyond the band [voxel]; ``history`` the mean way of
-    the contour per iteration [voxel]; ``touched`` how many sites were worked on, summed over the iterations.
+    ``phi`` (...) is the signed distance, negative inside, limited to a little more than the band [voxel]; ``history`` is the
+    mean displacement of the contour in each iteration [voxel]; ``converged`` is whether the evolution reached its tolerance;
+    ``touched`` is the number of sites processed, summed over iterations.
     """
 
     phi: np.ndarray
@@ -31,7 +32,7 @@ class Contour:
 
     @property
     def inside(self) -> np.ndarray:
-        """Mask of the interior."""
+        """Mask of the interior of the contour, bool array of the image's shape."""
         return self.phi < 0
 
 
@@ -48,39 +49,39 @@ def evolve(
     step: float = 0.45,
     tolerance: float = 0.05,
 ) -> Contour:
-    """Move a contour to the edge between locally different means.
+    """Move a contour to an edge, where the local means on its two sides differ most.
 
     Source: Lankton & Tannenbaum, Localizing region-based active contours, IEEE TIP 17 (2008), Eqs 6, 10 and 13. At each
-    band site the means u (inside) and v (outside) are taken within a ball; the site then follows
-    ``(I - u)^2 - (I - v)^2`` (uniform) or the mean-separation force of Yezzi, plus ``curvature`` times the curvature.
-    Data forces are scaled to at most 1, so ``curvature`` is relative to the strongest edge. After the first distance
-    transform only the sites near the contour are ever touched: the balls are gathered by their offsets, and phi is made a
-    distance again, there, whenever the contour may have moved by `STALE` voxel (Peng et al., J. Comput. Phys. 155 (1999)).
+    site of the band the means u (inside) and v (outside) are taken within a ball; phi changes at the speed
+    ``(I - u)^2 - (I - v)^2`` (uniform) or by the mean-separation force of Yezzi, plus ``curvature`` times the curvature.
+    Data forces are scaled to at most 1, so ``curvature`` is relative to the strongest edge. After the initial distance
+    transform only sites near the contour are processed; there phi is reinitialised as a distance whenever the contour may
+    have moved by `STALE` voxel (Peng et al., J. Comput. Phys. 155 (1999)).
 
     Parameters
     ----------
     image : (...) array
-        Intensities; isotropic grid.
+        Intensities on an isotropic grid.
     inside : (...) bool array
-        Where to start.
+        Interior of the initial contour.
     radius : float
-        Of the ball [voxel].
+        Radius of the ball [voxel].
     force : str
         "uniform" or "separation".
     curvature : float
         Weight of the curvature term.
     band : float
-        Half width of the band that moves, and of the smoothed Heaviside and delta [voxel].
+        Half width of the band in which phi is driven by the image, and of the smoothed Heaviside and delta [voxel].
     where : (...) bool array, optional
-        Sites that may move; the others are not even looked at, except by the balls.
+        Sites at which phi may change; the others only contribute to the local means.
     n_iterations, step, tolerance : int, float, float
-        At most so many steps of at most ``step`` voxel; stops when the contour's mean way over `SETTLED` steps, forth
-        minus back, is below ``tolerance`` voxel.
+        Largest number of iterations, largest change of phi per iteration [voxel], and net mean displacement of the contour
+        over `SETTLED` iterations below which it has converged [voxel].
 
     Raises
     ------
     ValueError
-        An unknown force.
+        If the force is unknown.
     """
     if force not in FORCES:
         raise ValueError(f"force must be one of {', '.join(FORCES)}; got {force!r}")
@@ -119,18 +120,18 @@ def evolve(
 
 
 class _Grid:
-    """Strides of a padded grid, and which of its sites may be touched."""
+    """Strides of a padded grid, and the sites at which phi may change."""
 
     def __init__(self, shape: tuple[int, ...], allowed: np.ndarray) -> None:
         self.strides = np.array([int(np.prod(shape[i + 1 :])) for i in range(len(shape))])
         self._allowed = allowed
 
     def flat(self, offsets: np.ndarray) -> np.ndarray:
-        """Offsets (m, d) as flat steps (m,)."""
+        """Convert index offsets (m, d) to shifts of the flat index (m,)."""
         return offsets @ self.strides
 
     def with_neighbours(self, sites: np.ndarray) -> np.ndarray:
-        """Sites and the allowed sites that share a face with them, each once, ascending."""
+        """Return the allowed sites among the given ones and their face neighbours, without duplicates, ascending."""
         several = np.unique(
             np.concatenate([sites, *(sites + s for s in self.strides), *(sites - s for s in self.strides)])
         )
@@ -138,7 +139,7 @@ class _Grid:
 
 
 def data_force(image: np.ndarray, share: np.ndarray, sites: np.ndarray, offsets: np.ndarray, force: str) -> np.ndarray:
-    """Speed of phi at the sites: flat image and share inside, sites (n,), offsets (m,) -> (n,); positive shrinks."""
+    """Return the speed of phi at sites (n,) from the flat image and inside fraction in balls of offsets (m,); > 0 shrinks."""
     u, v, area_u, area_v = local_means(image, share, sites, offsets)
     here = image[sites]
     if force == "uniform":
@@ -149,7 +150,7 @@ def data_force(image: np.ndarray, share: np.ndarray, sites: np.ndarray, offsets:
 def local_means(
     image: np.ndarray, share: np.ndarray, sites: np.ndarray, offsets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Means inside and outside within the ball, and the two ball volumes, at the sites: four arrays (n,)."""
+    """Return the means inside and outside the contour within a ball around each site, and both volumes: four arrays (n,)."""
     in_n, in_sum, all_sum = np.zeros((3, len(sites)))
     for offset in offsets:
         near = sites + offset
@@ -162,7 +163,7 @@ def local_means(
 
 
 def mean_curvature(phi: np.ndarray, sites: np.ndarray, strides: np.ndarray) -> np.ndarray:
-    """|grad phi| div(grad phi / |grad phi|) at the sites by central differences: flat phi, (n,) -> (n,) [1/voxel]."""
+    """Return |grad phi| div(grad phi / |grad phi|) at sites, by central differences: flat phi, (n,) -> (n,) [1/voxel]."""
     first = [(phi[sites + s] - phi[sites - s]) / 2 for s in strides]
     square = sum(g * g for g in first) + 1e-9
     total = np.zeros(len(sites))
@@ -176,34 +177,34 @@ def mean_curvature(phi: np.ndarray, sites: np.ndarray, strides: np.ndarray) -> n
 
 
 def ball(radius: float, dimension: int) -> np.ndarray:
-    """Integer offsets within a radius, (m, d)."""
+    """Return the index offsets (m, d) of all voxels within a radius [voxel] of a voxel, in d dimensions."""
     r = int(radius)
     grid = np.stack(np.meshgrid(*[np.arange(-r, r + 1)] * dimension, indexing="ij"), axis=-1).reshape(-1, dimension)
     return grid[(grid**2).sum(axis=1) <= radius**2]
 
 
 def signed_distance(inside: np.ndarray) -> np.ndarray:
-    """Signed distance to a mask's edge, negative inside [voxel]."""
+    """Return the signed distance of each voxel to the edge of a mask, negative inside: bool (...) -> (...) [voxel]."""
     return np.where(inside, 0.5 - ndi.distance_transform_edt(inside), ndi.distance_transform_edt(~inside) - 0.5)  # pyright: ignore[reportOperatorIssue]
 
 
 def heaviside(x: np.ndarray, width: float) -> np.ndarray:
-    """Smoothed step from 0 to 1 over +-width (their Eq. 2)."""
+    """Return the smoothed Heaviside function, from 0 to 1 over +-width (Lankton & Tannenbaum, Eq. 2)."""
     t = np.clip(x / width, -1, 1)
     return 0.5 * (1 + t + np.sin(np.pi * t) / np.pi)
 
 
 def delta(x: np.ndarray | float, width: float) -> np.ndarray:
-    """Evaluate the derivative of `heaviside`."""
+    """Return the derivative of the smoothed Heaviside function `heaviside` with respect to x."""
     t = np.clip(np.asarray(x) / width, -1, 1)
     return 0.5 * (1 + np.cos(np.pi * t)) / width
 
 
 def _redistanced(phi: np.ndarray, tube: np.ndarray, reach: float, grid: _Grid) -> np.ndarray:
-    """Make flat phi a signed distance within ``reach`` of its zero level, in place; returns the sites of the new tube.
+    """Reinitialise flat phi as a signed distance within ``reach`` of its zero level, in place; return the sites in reach.
 
-    The sites beside the zero level keep their distance to it to second order (Russo & Smereka, J. Comput. Phys. 163
-    (2000)), so the contour does not drift; the others follow by upwind relaxation.
+    The distance of sites adjacent to the zero level is computed directly, to second order (Russo & Smereka, J. Comput. Phys. 163
+    (2000)), so the contour does not drift; the others are found by upwind relaxation.
     """
     tube = grid.with_neighbours(tube[np.abs(phi[tube]) < reach - 1.0])
     ahead, back, beside = _differences(phi, tube, grid.strides)
@@ -219,7 +220,7 @@ def _redistanced(phi: np.ndarray, tube: np.ndarray, reach: float, grid: _Grid) -
 
 
 def _differences(phi: np.ndarray, sites: np.ndarray, strides: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Forward and backward differences (d, n) at the sites, and whether the zero level passes beside them (n,)."""
+    """Return forward and backward differences of phi (d, n) at sites, and whether a neighbour's phi has the other sign (n,)."""
     here = phi[sites]
     after = np.stack([phi[sites + s] for s in strides])
     before = np.stack([phi[sites - s] for s in strides])
@@ -228,7 +229,10 @@ def _differences(phi: np.ndarray, sites: np.ndarray, strides: np.ndarray) -> tup
 
 
 def _steepest(ahead: np.ndarray, back: np.ndarray) -> np.ndarray:
-    """Slope of phi (d, n) -> (n,): central, or one-sided where that is steeper, so that no cell is taken for flat."""
+    """Return the magnitude of the gradient of phi from forward and backward differences: (d, n), (d, n) -> (n,) [1/voxel].
+
+    Differences are central, or one-sided where the largest one-sided one is more than twice as large.
+    """
     central = np.abs(ahead + back) / 2
     slope = np.sqrt((central**2).sum(axis=0))
     one_sided = np.maximum(np.abs(ahead), np.abs(back)).max(axis=0)

@@ -1,4 +1,4 @@
-"""The digital phantom "half-ellipsoid": a breast MRI with known labels, because no patient image may be shipped."""
+"""Digital phantom "half-ellipsoid": a synthetic breast MRI with known labels, as patient images cannot be distributed."""
 
 from __future__ import annotations
 
@@ -8,18 +8,18 @@ from scipy import ndimage as ndi
 from ..core.errors import InputError
 from ..geometry.labels import Label
 from ..geometry.volume import Volume
-from .anatomy import MIDLINE_MM, MUSCLE_MM, RIB_MM, Anatomy, draw
+from .anatomy import MIDLINE_MM, MUSCLE_MM, RIB_MM, PhantomAnatomy, draw
 
 SIZE_MM = (120.0, 75.0, 110.0)
-FLANK_MM = 36.0  # chest shown beside the breast, on both sides
-AIR_MM = 16.0  # air in front of the nipple
-ABOVE_MM = 18.0  # chest shown above and below
-SUBSAMPLE_MM = 0.8  # voxels are averaged over points no farther apart than this
-CHUNK = 16384  # points handled at once: their work arrays fit the cache
+FLANK_MM = 36.0  # width of chest in the image on both sides of the breast
+AIR_MM = 16.0  # depth of air in front of the nipple
+ABOVE_MM = 18.0  # height of chest above and below the breast
+SUBSAMPLE_MM = 0.8  # largest distance of the points over which a voxel is averaged
+CHUNK = 16384  # points per batch, so that work arrays fit into the cache
 LABEL_OF = np.array([0, 1, 2, 3, 4, 5, 5, 5, 5, 5], np.uint8)  # Part -> Label
 
-# Brightness by Part, in units of the scanner; relative values as in prone T1 TSE and SPAIR images. The fat-saturated
-# tumour is as after contrast.
+# Brightness of each Part in arbitrary scanner units; relative values as in prone T1 TSE and SPAIR images. The tumour in the
+# fat-saturated image has the brightness after contrast agent.
 BRIGHTNESS = {
     "t1": np.array([0, 900, 300, 360, 250, 900, 360, 270, 520, 40], np.float32),
     "t1-fatsat": np.array([0, 50, 150, 190, 320, 50, 190, 115, 70, 15], np.float32),
@@ -40,18 +40,18 @@ def phantom(
     bias: float = 0.25,
     noise: float = 1.0,
 ) -> tuple[Volume, Volume]:
-    """Image and known labels of one breast with the chest around it.
+    """Generate an image of one breast with the surrounding chest, and its true labels.
 
-    Skin of 1.45 mm, fat, irregular gland lobes radiating from the nipple, a tumour, pectoral muscle, ribs and lung
-    behind a curved wall. Voxels are averages over sub-voxel points (partial volume), times a smooth bias field, with
-    Rician noise. The same seed gives the same anatomy at every voxel size, and the same bytes at the same one.
+    The anatomy has skin of 1.45 mm, fat, irregular gland lobes radiating from the nipple, a tumour, pectoral muscle, ribs
+    and lung behind a curved wall. Voxels are averages over sub-voxel points (partial volume), multiplied by a smooth bias
+    field, with Rician noise. A seed gives the same anatomy at every voxel size, and the same bytes at equal voxel size.
 
     Parameters
     ----------
     spacing_mm : float or (3,) tuple
         Voxel edge along x, y, z [mm].
     seed : int
-        Anatomy, bias field and noise.
+        Seed of the anatomy, the bias field and the noise.
     weighting : str
         "t1" (fat bright) or "t1-fatsat" (fat dark, tumour enhanced).
     side : str
@@ -59,13 +59,13 @@ def phantom(
     size_mm : (3,) tuple
         Width, depth (AP) and height of the breast [mm].
     gland_fraction : float, optional
-        Part of the breast inside the skin that is gland; left out = drawn from 15-25 %.
+        Fraction of the breast inside the skin that is gland; default: drawn from 15-25 %.
     tumour_diameter_mm, tumour_centre_mm : float, (3,) tuple, optional
-        Mean diameter (0 for none) and place in image coordinates [mm]; left out = upper outer quadrant.
+        Mean diameter (0 for none), and centre in image coordinates [mm]; default centre: in the upper outer quadrant.
     bias : float
         Amplitude of the logarithm of the bias field.
     noise : float
-        Factor on the noise of the weighting.
+        Factor on the standard noise of the weighting.
 
     Returns
     -------
@@ -77,7 +77,7 @@ def phantom(
     Raises
     ------
     InputError
-        A name, size or spacing that makes no image.
+        If weighting or side is unknown, or size or spacing is out of range.
     """
     spacing = np.broadcast_to(np.asarray(spacing_mm, float), 3)
     _check(spacing, size_mm, weighting, side)
@@ -95,7 +95,7 @@ def phantom(
 
 
 def _check(spacing: np.ndarray, size_mm: tuple[float, float, float], weighting: str, side: str) -> None:
-    """Refuse what makes no image."""
+    """Check weighting, side, size and spacing."""
     if weighting not in BRIGHTNESS:
         raise InputError(f'phantom: weighting must be "t1" or "t1-fatsat", got "{weighting}".')
     if side not in ("left", "right"):
@@ -106,14 +106,14 @@ def _check(spacing: np.ndarray, size_mm: tuple[float, float, float], weighting: 
         raise InputError(f"phantom: size_mm must lie in [30, 250] along each axis, got {list(size_mm)}.")
 
 
-def _with_tumour_at(anatomy: Anatomy, point: np.ndarray) -> Anatomy:
-    """Move the tumour to a point given in the anatomy's frame (x, y, z) [mm]."""
+def _with_tumour_at(anatomy: PhantomAnatomy, point: np.ndarray) -> PhantomAnatomy:
+    """Return the anatomy with its tumour moved to a point (3,) in the anatomy's coordinates x, y, z [mm]."""
     height = float(anatomy.height(point[:, None])[0])
-    return Anatomy(**{**vars(anatomy), "tumour_centre_mm": np.array([point[0], height, point[2]])})
+    return PhantomAnatomy(**{**vars(anatomy), "tumour_centre_mm": np.array([point[0], height, point[2]])})
 
 
 def _grid(half_axes: np.ndarray, spacing: np.ndarray, shift: np.ndarray) -> Volume:
-    """Field of view around the breast, empty."""
+    """Return an empty image volume that covers the field of view around the breast."""
     low = np.array([-half_axes[0] - FLANK_MM, -half_axes[1] - AIR_MM, -half_axes[2] - ABOVE_MM]) + shift
     behind = MUSCLE_MM + RIB_MM + 24.0
     high = np.array([half_axes[0] + FLANK_MM, behind, half_axes[2] + ABOVE_MM]) + shift
@@ -124,11 +124,11 @@ def _grid(half_axes: np.ndarray, spacing: np.ndarray, shift: np.ndarray) -> Volu
 
 
 def _average(
-    anatomy: Anatomy, grid: Volume, shift: np.ndarray, brightness: np.ndarray
+    anatomy: PhantomAnatomy, grid: Volume, shift: np.ndarray, brightness: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean brightness and commonest label of each voxel: two (nz, ny, nx) arrays, float32 and uint8.
+    """Return the mean brightness and most frequent label of each voxel: two (nz, ny, nx) arrays, float32 and uint8.
 
-    Sub-voxel points are looked at only where a voxel's centre differs from one of its 26 neighbours'.
+    Only voxels whose tissue at the centre differs from that of one of their 26 neighbours are averaged over sub-voxel points.
     """
     index = np.indices(grid.shape, np.int32).reshape(3, -1)
     part = _parts_at(anatomy, grid, shift, index, np.zeros(3)).reshape(grid.shape)
@@ -147,8 +147,10 @@ def _average(
     return clean, labels
 
 
-def _parts_at(anatomy: Anatomy, grid: Volume, shift: np.ndarray, index: np.ndarray, offset: np.ndarray) -> np.ndarray:
-    """Tissue at voxels (3, n) z, y, x, off their centres by a share (3,) x, y, z of a voxel: (n,) uint8 of `Part`."""
+def _parts_at(
+    anatomy: PhantomAnatomy, grid: Volume, shift: np.ndarray, index: np.ndarray, offset: np.ndarray
+) -> np.ndarray:
+    """Return the tissue at voxels (3, n) z, y, x, shifted by a fraction (3,) x, y, z of a voxel: (n,) uint8 of `Part`."""
     step = np.asarray(grid.spacing_mm)
     low = (np.asarray(grid.origin_mm) - shift + offset * step).astype(np.float32)[:, None]
     scale = step.astype(np.float32)[:, None]
@@ -162,7 +164,7 @@ def _parts_at(anatomy: Anatomy, grid: Volume, shift: np.ndarray, index: np.ndarr
 def _scan(
     clean: np.ndarray, grid: Volume, bias: float, sigma: float, field_rng: np.random.Generator, rng: np.random.Generator
 ) -> np.ndarray:
-    """Bias field and Rician noise on the clean image (nz, ny, nx)."""
+    """Return the image with bias field and Rician noise of standard deviation ``sigma``, from the clean image (nz, ny, nx)."""
     z, y, x = (np.linspace(-1, 1, n, dtype=np.float32) for n in grid.shape)
     basis = [
         x,

@@ -1,4 +1,4 @@
-"""From an MRI to the labels and tissue probabilities of one breast."""
+"""Segmentation of a breast MRI into labels and tissue probabilities of one breast."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from . import wall
 from .bias import remove_bias
 from .classify import bright_mass, gland_probability, skin_probability
 
-COARSE_MM = 2.0  # grid on which the chest wall is sought
-EDGE_MM = 3.0  # how far within the rough outline the skin's edge may lie
-EDGE_SHARE_T1, EDGE_SHARE_FATSAT = 0.2, 0.5  # level of that edge between air and the brightest tissue near it
-LEAST_BODY_ML = 50.0
-LEAST_CONTRAST = 3.0  # body over air
+COARSE_MM = 2.0  # voxel edge of the grid on which the chest wall is searched
+EDGE_MM = 3.0  # largest depth of the skin's edge below the rough outline
+EDGE_SHARE_T1, EDGE_SHARE_FATSAT = 0.2, 0.5  # level of that edge between air (0) and the brightest tissue near it (1)
+MIN_BODY_ML = 50.0
+MIN_CONTRAST = 3.0  # smallest ratio of the median intensities of body and air
 
 Report = Callable[[str, float], None]
 ChestWall = Mapping[str, object] | np.ndarray | Sequence
@@ -28,7 +28,7 @@ ChestWall = Mapping[str, object] | np.ndarray | Sequence
 
 @dataclass(frozen=True)
 class Segmentation:
-    """What an image shows, voxel by voxel.
+    """Tissue labels and probabilities of the voxels of an image.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class Segmentation:
     probabilities : Volume
         (4, nz, ny, nx) float32 in the order of `TISSUES`; sums to 1 inside the breast, 0 elsewhere.
     notes : tuple of str
-        What was done, for the record of the run.
+        Messages for the record of the run that say how the image was segmented.
     """
 
     labels: Volume
@@ -55,7 +55,7 @@ def segment(
     resection_centre_mm: tuple[float, float, float] | None = None,
     report: Report | None = None,
 ) -> Segmentation:
-    """Segment the breast of one side: skin, chest wall, then tissue classes (PHYSICS 1.1, 1.2).
+    """Segment the breast of one side: skin, then chest wall, then tissue classes.
 
     Parameters
     ----------
@@ -66,20 +66,20 @@ def segment(
     side : str
         Patient's side, "left" (+x) or "right".
     position : str
-        "prone", "supine" or "upright"; recorded, the method is the same.
+        "prone", "supine" or "upright"; it is recorded in the notes but does not change the method.
     chest_wall : mapping or (n, 3) array, optional
-        Instead of the automatic wall: a plane ``{"point_mm": (3,), "normal": (3,)}`` or n >= 4 points [mm] that a
-        thin-plate spline joins.
+        Given wall instead of the automatic one: a plane ``{"point_mm": (3,), "normal": (3,)}``, or n >= 4 points [mm]
+        that are interpolated by a thin-plate spline.
     resection_centre_mm : (3,) tuple, optional
-        Fat-saturated images: a bright compact mass at this point becomes tumour. Otherwise tumour tissue is not told
-        from gland.
+        In fat-saturated images, a bright compact mass at this point is labelled as tumour. Otherwise tumour tissue is not
+        distinguished from gland.
     report : callable, optional
-        Called with the name of a stage and the fraction done.
+        Function that is called with the name of a stage and the fraction done.
 
     Raises
     ------
     InputError
-        Unknown words, no body or no breast in the image, an unusable chest wall.
+        If an option is unknown, the image shows no body or no breast, or the given chest wall is unusable.
     """
     report = report or (lambda stage, fraction: None)
     _check_words(weighting, side, position)
@@ -91,7 +91,7 @@ def segment(
     behind, columns, note = _chest(flat, body, weighting == "t1", side, chest_wall)
     breast = body & ~behind & columns[:, None, :]
     breast = _largest(breast)
-    body |= np.maximum.accumulate(body, axis=1) & behind  # lungs are dark, not air
+    body |= np.maximum.accumulate(body, axis=1) & behind  # dark lungs belong to the body
     report("tissue", 0.65)
     box = _box(breast)
     probabilities, mass = _tissue(flat, body, breast, box, weighting, resection_centre_mm)
@@ -102,7 +102,7 @@ def segment(
 
 
 def from_labels(labels: Volume) -> Segmentation:
-    """Take an imported label map as it is; probabilities are the labels, smoothed by half a voxel inside the breast."""
+    """Return the segmentation of an imported label map; probabilities are its labels smoothed over half a voxel in the breast."""
     values = labels.values.astype(np.uint8)
     breast = (values > Label.AIR) & (values < Label.CHEST)
     if not breast.any():
@@ -118,7 +118,7 @@ def from_labels(labels: Volume) -> Segmentation:
 
 
 def _check_words(weighting: str, side: str, position: str) -> None:
-    """Refuse unknown words, naming the known ones."""
+    """Check the options; the error for an unknown one lists the known ones."""
     for name, value, known in (
         ("weighting", weighting, ("t1", "t1-fatsat")),
         ("side", side, ("left", "right")),
@@ -129,7 +129,7 @@ def _check_words(weighting: str, side: str, position: str) -> None:
 
 
 def _body(image: Volume) -> np.ndarray:
-    """Body by Otsu's threshold on the logarithm, largest piece, holes of each axial slice filled: (nz, ny, nx) bool."""
+    """Find the body by Otsu's threshold of the log intensity: largest component, holes filled per slice, (nz, ny, nx) bool."""
     sigma = [min(0.6, 0.7 / s) for s in image.spacing_mm[::-1]]
     smooth = ndi.gaussian_filter(image.values.astype(np.float32), sigma)
     top = float(np.percentile(smooth, 99))
@@ -143,7 +143,7 @@ def _body(image: Volume) -> np.ndarray:
         )
     rough = _filled(rough)
     inside, outside = np.median(smooth[rough]), np.median(smooth[~rough]) if not rough.all() else np.inf
-    if rough.sum() * np.prod(image.spacing_mm) < 1000 * LEAST_BODY_ML or inside < LEAST_CONTRAST * outside:
+    if rough.sum() * np.prod(image.spacing_mm) < 1000 * MIN_BODY_ML or inside < MIN_CONTRAST * outside:
         raise InputError(
             "image: no breast found, nothing stands out from the background; give a T1-weighted breast MRI."
         )
@@ -151,10 +151,10 @@ def _body(image: Volume) -> np.ndarray:
 
 
 def _edge_found(image: Volume, rough: np.ndarray, fat_bright: bool) -> np.ndarray:
-    """Move the rough outline, which lies outside the skin where the breast is bright, to the edge of what is there.
+    """Shrink the rough body mask, which extends beyond the skin where the breast is bright, to the edge of the skin.
 
-    Half way up from air to the brightest tissue within reach is the edge of bright skin (fat-saturated). Without fat
-    saturation the skin is dark before bright fat, and its edge lies lower.
+    In a fat-saturated image the skin is bright, and its edge lies halfway between air and the brightest tissue nearby.
+    Without fat saturation the skin is dark in front of bright fat, and its edge lies at a lower level.
     """
     size = image.spacing_mm[::-1]
     air = float(np.median(image.values[~rough])) if not rough.all() else 0.0
@@ -166,7 +166,7 @@ def _edge_found(image: Volume, rough: np.ndarray, fat_bright: bool) -> np.ndarra
 
 
 def _otsu(v: np.ndarray) -> float:
-    """Threshold with the largest variance between the classes."""
+    """Return Otsu's threshold of values (n,), which maximises the variance between the classes below and above it."""
     counts, edges = np.histogram(v, 256)
     centres = 0.5 * (edges[1:] + edges[:-1])
     below = np.cumsum(counts)[:-1]
@@ -177,20 +177,20 @@ def _otsu(v: np.ndarray) -> float:
 
 
 def _largest(mask: np.ndarray) -> np.ndarray:
-    """Largest connected piece."""
+    """Return the largest connected component of a mask."""
     pieces, n = ndi.label(mask)  # pyright: ignore[reportGeneralTypeIssues]
     return mask if n < 2 else pieces == 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
 
 
 def _filled(mask: np.ndarray) -> np.ndarray:
-    """Holes of each axial slice filled."""
+    """Fill the holes of a mask in each axial slice."""
     return np.stack([ndi.binary_fill_holes(s) for s in mask])  # pyright: ignore[reportCallIssue]
 
 
 def _chest(
     flat: Volume, body: np.ndarray, fat_bright: bool, side: str, given: ChestWall | None
 ) -> tuple[np.ndarray, np.ndarray, str]:
-    """Find what lies behind the wall (nz, ny, nx), which columns are breast (nz, nx), and a note."""
+    """Return masks of the voxels behind the chest wall (nz, ny, nx) and of the columns of the breast (nz, nx), and a note."""
     coarse, solid = _coarse(flat, body)
     x_mm, skin = coarse.axis(2), coarse.origin_mm[1] + wall.front(solid) * coarse.spacing_mm[1]
     sign = 1.0 if side == "left" else -1.0
@@ -199,23 +199,23 @@ def _chest(
         surface = wall.wall_surface(coarse, wall.prior(skin, x_mm, midline), fat_bright)
         surface, settled = wall.follow_contour(coarse, solid, surface, skin, sign * (x_mm - midline) > 0)
         how = (
-            "searched and settled by a localized contour"
+            "by search, refined by a localized contour"
             if settled
-            else "searched; the localized contour did not settle"
+            else "by search; the localized contour did not converge"
         )
         note = f"chest wall automatic ({how}), midline at x = {midline:.0f} mm"
     else:
         surface, note = _given_wall(given, coarse)
     last = flat.axis(1)[-1]
-    surface = np.minimum(surface, last - 1.0)  # where the image ends first, its last voxels hold the breast
+    surface = np.minimum(surface, last - 1.0)  # the wall must lie within the image
     columns = wall.foot(surface - skin, sign * (x_mm - midline) > 0, (coarse.spacing_mm[2], coarse.spacing_mm[0]))
     fine_surface = _refine(surface, coarse, flat)
-    fine_columns = _refine(ndi.gaussian_filter(columns.astype(float), 1.0), coarse, flat) > 0.2  # to the skin, and over
+    fine_columns = _refine(ndi.gaussian_filter(columns.astype(float), 1.0), coarse, flat) > 0.2  # slightly too wide
     return flat.axis(1)[None, :, None] > fine_surface[:, None, :], fine_columns, note
 
 
 def _given_wall(given: ChestWall, grid: Volume) -> tuple[np.ndarray, str]:
-    """Wall y (nz, nx) [mm] from a plane or from points."""
+    """Return the y of the wall (nz, nx) [mm] from a given plane or points, and a note."""
     x, z = grid.axis(2)[None, :], grid.axis(0)[:, None]
     if isinstance(given, Mapping):
         point, normal = (np.asarray(given[k], float) for k in ("point_mm", "normal"))
@@ -236,7 +236,7 @@ def _given_wall(given: ChestWall, grid: Volume) -> tuple[np.ndarray, str]:
 
 
 def _coarse(flat: Volume, body: np.ndarray) -> tuple[Volume, np.ndarray]:
-    """Image and body on a grid of about 2 mm."""
+    """Return image and body mask resampled to a grid of about 2 mm."""
     size = np.asarray(flat.spacing_mm[::-1])
     factor = np.maximum(COARSE_MM / size, 1e-9)
     shape = np.maximum(np.round(np.asarray(flat.shape) / factor).astype(int), 2)
@@ -250,14 +250,14 @@ def _coarse(flat: Volume, body: np.ndarray) -> tuple[Volume, np.ndarray]:
 
 
 def _refine(field: np.ndarray, coarse: Volume, fine: Volume) -> np.ndarray:
-    """Height map (nz, nx) from the coarse to the fine grid."""
+    """Interpolate a height map (nz, nx) from the coarse to the fine grid."""
     z = (fine.axis(0) - coarse.origin_mm[2]) / coarse.spacing_mm[2]
     x = (fine.axis(2) - coarse.origin_mm[0]) / coarse.spacing_mm[0]
     return ndi.map_coordinates(field, np.meshgrid(z, x, indexing="ij"), order=1, mode="nearest")
 
 
 def _box(mask: np.ndarray) -> tuple[slice, slice, slice]:
-    """Bounding box of a mask, three voxels wider."""
+    """Return the bounding box of a mask, enlarged by three voxels."""
     out = []
     for axis in range(3):
         hit = np.flatnonzero(mask.any(axis=tuple(a for a in range(3) if a != axis)))
@@ -273,20 +273,24 @@ def _tissue(
     weighting: str,
     centre_mm: tuple[float, float, float] | None,
 ) -> tuple[np.ndarray, str]:
-    """Probabilities (4, nz, ny, nx) in the order of `TISSUES`, and a note on the tumour."""
+    """Return the probabilities (4, nz, ny, nx) in the order of `TISSUES`, and a note on the tumour."""
     origin = flat.position(np.array([s.start for s in box]))
     part = Volume(flat.values[box], flat.spacing_mm, (float(origin[0]), float(origin[1]), float(origin[2])))
     skin = skin_probability(body[box], flat.spacing_mm) * breast[box]
     inner = breast[box] & (skin < 0.5)
     if inner.sum() < 1000:
-        raise InputError("image: no breast found that is thick enough to tell its tissues; use smaller voxels.")
+        raise InputError("image: no breast found that is thick enough to distinguish its tissues; use smaller voxels.")
     gland = gland_probability(part, inner, weighting == "t1")
-    gland[ndi.binary_dilation(skin > 0.05)] = 0  # the voxels that share the skin are no gland  # pyright: ignore[reportCallIssue]
-    tumour, note = np.zeros_like(inner), "no tumour class: give a label map to have one"
+    gland[ndi.binary_dilation(skin > 0.05)] = 0  # voxels partly in the skin, and their neighbours, are not gland  # pyright: ignore[reportCallIssue]
+    tumour, note = np.zeros_like(inner), "no voxels are labelled as tumour; that needs a label map"
     if weighting == "t1-fatsat" and centre_mm is not None:
         tumour = bright_mass(part, inner, centre_mm)
         ml = tumour.sum() * np.prod(flat.spacing_mm) / 1000
-        note = f"tumour: bright mass of {ml:.1f} ml at the resection centre" if ml else "no bright mass at the centre"
+        note = (
+            f"tumour: bright mass of {ml:.1f} ml at the resection centre"
+            if ml
+            else "no bright mass at the resection centre"
+        )
     soft = np.clip(ndi.gaussian_filter(tumour.astype(np.float32), 0.5), 0, 1) * (1 - skin)
     rest = (1 - skin - soft).clip(0)
     out = np.zeros((4, *flat.shape), np.float32)
@@ -296,6 +300,6 @@ def _tissue(
 
 
 def _labels(probabilities: np.ndarray, body: np.ndarray, breast: np.ndarray) -> np.ndarray:
-    """Most probable tissue in the breast, chest in the rest of the body: (nz, ny, nx) uint8."""
+    """Return the most probable tissue in the breast, and chest in the rest of the body: (nz, ny, nx) uint8."""
     tissue = np.asarray(TISSUES, np.uint8)[probabilities.argmax(axis=0)]
     return np.where(breast, tissue, np.where(body, Label.CHEST, Label.AIR)).astype(np.uint8)

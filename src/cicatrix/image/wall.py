@@ -1,6 +1,6 @@
-"""Where the breast ends at the back: the chest wall as a height map y(x, z), and the foot of the breast on it.
+"""Posterior boundary of the breast: the chest wall as a height map y(x, z), and the base of the breast on it.
 
-A search over all levels finds the wall, a localized contour settles on it.
+A search over depth levels finds the wall, and a localized contour refines it.
 """
 
 from __future__ import annotations
@@ -12,28 +12,28 @@ from ..core.errors import InputError
 from ..geometry.volume import Volume
 from .contour import evolve, heaviside
 
-THORAX_RADIUS_MM = 180.0  # curvature of the prior across the body
-BEHIND_SKIN_MM = 12.0  # prior depth of the wall behind the midline skin
-WINDOW_MM = (-22.0, 42.0)  # search range about the prior
-REACH_MM = 7.0  # tissue compared on either side of the wall
-BROAD_MM, JUMP_MM = 60.0, 10.0  # the wall does not leave its median over so wide a window by more than this
-CONTOUR_MM = 6.0  # how far the contour may leave the wall that was searched for
-BALL_MM = 8.0  # tissue the contour compares
-BEFORE_WALL_MM = 8.0  # where the breast is thinner, the contour is left alone by the skin
-MIN_BREAST_MM = 15.0  # least height of something called a breast
-FOOT_SHARE = 0.25  # the foot ends where the tissue is thinner than this share of the breast's height ...
+THORAX_RADIUS_MM = 180.0  # radius of curvature of the prior across the body
+BEHIND_SKIN_MM = 12.0  # prior depth of the wall behind the skin at the midline
+WINDOW_MM = (-22.0, 42.0)  # search range relative to the prior
+REACH_MM = 7.0  # depth of the tissue that is compared on either side of the wall
+BROAD_MM, JUMP_MM = 60.0, 10.0  # width of a median filter, and largest deviation of the wall from that median
+CONTOUR_MM = 6.0  # largest distance of the contour from the searched wall
+BALL_MM = 8.0  # radius of the ball of the localized contour
+BEFORE_WALL_MM = 8.0  # the contour only moves where the breast is thicker than this
+MIN_BREAST_MM = 15.0  # smallest height of a breast
+FOOT_SHARE = 0.25  # the base ends where the tissue is thinner than this fraction of the breast's height ...
 FOOT_MM = (14.0, 22.0)  # ... within these limits
 
 
 def front(body: np.ndarray) -> np.ndarray:
-    """First body voxel from the front: (nz, ny, nx) bool -> (nz, nx) index, ny where there is none."""
+    """Return the y index of the foremost body voxel of each column: (nz, ny, nx) bool -> (nz, nx); ny if a column has none."""
     return np.where(body.any(axis=1), body.argmax(axis=1), body.shape[1]).astype(float)
 
 
 def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> float:
-    """Midline: where the skin is farthest back between the breasts, (nz, nx) skin [mm] -> x [mm].
+    """Return x of the midline, where the skin between the breasts is most posterior: y of the skin (nz, nx) [mm] -> x [mm].
 
-    With one breast in the image it is the place on its medial side where the skin stops receding.
+    With only one breast in the image, it is 20 mm medial of the point at which the skin stops receding.
     """
     profile = ndi.gaussian_filter1d(np.nanmedian(skin_mm, axis=0), 3)
     here = sign * (x_mm - 0.5 * (x_mm[0] + x_mm[-1]))
@@ -50,18 +50,18 @@ def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> float:
 
 
 def prior(skin_mm: np.ndarray, x_mm: np.ndarray, midline_mm: float) -> np.ndarray:
-    """Where a plain thorax would be: (nz, nx) skin [mm] -> (nz, nx) y [mm]."""
+    """Return the prior position of the chest wall, a cylindrical thorax: (nz, nx) skin [mm] -> (nz, nx) y [mm]."""
     near = np.abs(x_mm - midline_mm) < 8
     base = ndi.gaussian_filter1d(np.nanmedian(skin_mm[:, near], axis=1), 6, mode="nearest")
     return base[:, None] + BEHIND_SKIN_MM + (x_mm - midline_mm) ** 2 / (2 * THORAX_RADIUS_MM)
 
 
 def wall_surface(image: Volume, guess_mm: np.ndarray, fat_bright: bool) -> np.ndarray:
-    """Most likely fat-to-muscle transition near a guess, smooth in both directions.
+    """Find the most likely transition from fat to muscle near a guess, as a smooth surface.
 
-    The cost of a level is minus the normalised contrast between the tissue in front and behind; costs are aggregated
-    along four directions with a penalty on slope (semi-global matching, Hirschmueller, IEEE TPAMI 30 (2008)), and the
-    cheapest level wins, to sub-voxel by a parabola.
+    The cost of a level is minus the normalised contrast between the tissue in front and behind. Costs are aggregated
+    along four directions with a penalty on slope (semi-global matching, Hirschmueller, IEEE TPAMI 30 (2008)); the level
+    of least cost is refined to sub-voxel accuracy by a parabola.
 
     Parameters
     ----------
@@ -100,10 +100,10 @@ def wall_surface(image: Volume, guess_mm: np.ndarray, fat_bright: bool) -> np.nd
 def follow_contour(
     image: Volume, body: np.ndarray, surface_mm: np.ndarray, skin_mm: np.ndarray, on_side: np.ndarray
 ) -> tuple[np.ndarray, bool]:
-    """Let a localized contour settle on the wall, starting from the surface that was searched for.
+    """Refine a chest wall found by ``wall_surface`` with a localized active contour that starts from it.
 
     Image and body on an isotropic grid (nz, ny, nx), surface and skin (nz, nx) [mm], ``on_side`` (nx,) bool: columns to
-    work on. Returns the wall (nz, nx) [mm], and whether the contour settled; if it did not, the surface is as it was.
+    refine. Returns the wall (nz, nx) [mm], and whether the contour converged; if not, the surface is unchanged.
     """
     step = image.spacing_mm[1]
     y = image.axis(1)[None, :, None]
@@ -122,7 +122,7 @@ def follow_contour(
 
 
 def _contrast(image: Volume, fat_bright: bool) -> np.ndarray:
-    """Signed normalised difference between the tissue in front and behind, (nz, ny, nx) in -1..1."""
+    """Return the signed normalised contrast between the tissue in front and behind, (nz, ny, nx)."""
     sz, sy, sx = image.spacing_mm[::-1]
     smooth = ndi.gaussian_filter(image.values.astype(np.float32), (2.0 / sz, 0.5 / sy, 2.0 / sx))
     n = max(round(REACH_MM / sy), 1)
@@ -136,11 +136,11 @@ def _contrast(image: Volume, fat_bright: bool) -> np.ndarray:
     fat = ndi.maximum_filter(mean, [min(s, n) for s, n in zip(size, mean.shape)])
     return (
         1.5 * (ahead - behind) / (fat + floor)
-    )  # against fat, else muscle to lung would count more than fat to muscle
+    )  # normalised by the intensity of fat; otherwise muscle to lung would have more contrast than fat to muscle
 
 
 def _aggregate(cost: np.ndarray) -> np.ndarray:
-    """Sum of directional minimum path costs: (nz, nx, n_levels) -> same."""
+    """Return the sum of the minimum path costs over four directions: (nz, nx, n_levels) -> same."""
     total = np.zeros_like(cost)
     for axis in (0, 1):
         along = np.moveaxis(cost, axis, 0)
@@ -151,7 +151,7 @@ def _aggregate(cost: np.ndarray) -> np.ndarray:
 
 
 def _scanline(cost: np.ndarray, slope: float = 0.06, reach: int = 3) -> np.ndarray:
-    """Minimum path cost along the first axis with a penalty per level of change: (n, m, n_levels) -> same."""
+    """Return the minimum path cost along the first axis with a penalty on changes of level: (n, m, n_levels) -> same."""
     out = cost.copy()
     for i in range(1, len(cost)):
         last = np.pad(out[i - 1], ((0, 0), (reach, reach)), constant_values=np.inf)
@@ -162,14 +162,14 @@ def _scanline(cost: np.ndarray, slope: float = 0.06, reach: int = 3) -> np.ndarr
 
 
 def foot(height_mm: np.ndarray, on_side: np.ndarray, voxel_mm: tuple[float, float]) -> np.ndarray:
-    """Columns that belong to the breast: those thicker than a share of its height, in one piece with its apex.
+    """Find the columns of the breast: those thicker than a fraction of its height, in one connected component.
 
     Parameters
     ----------
     height_mm : (nz, nx) array
         Wall minus skin along y [mm].
     on_side : (nx,) bool array
-        Columns on the wanted side of the midline.
+        Columns on the chosen side of the midline.
     voxel_mm : (2,) tuple
         Spacing along z and x [mm].
 
@@ -180,7 +180,7 @@ def foot(height_mm: np.ndarray, on_side: np.ndarray, voxel_mm: tuple[float, floa
     Raises
     ------
     InputError
-        Nothing on that side stands out from the chest.
+        If no breast protrudes from the chest on that side.
     """
     height = np.where(on_side, height_mm, 0.0)
     top = float(np.percentile(height, 99.5))

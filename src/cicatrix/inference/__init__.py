@@ -1,1 +1,1 @@
-"""Many runs: parameters found from data."""
+"""Estimation of law parameters from data."""

@@ -1,4 +1,4 @@
-"""The picture of a fit: measured and fitted stress, and what is left."""
+"""Figure of a fit: measured and fitted stress, and their difference."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ NAMES = {
     "lambda_z": r"stretch $\lambda_z$ [1]",
     "shear": r"shear $F_{xy}$ [1]",
 }
-JUMP = 4.0  # times the usual step
+JUMP = 4.0  # step over the median step, beyond which a curve is interrupted
 MEASURED, FITTED = "#0072b2", "#d55e00"
 
 
 def fit_figure(columns: Mapping[str, np.ndarray], stresses: Mapping[str, np.ndarray]) -> Figure:
-    """Above Cauchy stress against stretch, below what the law leaves of it over time, a column of pictures for each stress.
+    """Draw Cauchy stress against stretch, and below it the residual over time, with one column of panels for each stress.
 
-    ``columns`` are the measured ones, ``stresses`` those of the fitted law [kPa]; arrays (n,).
+    ``columns``: measured times, stretches and stresses by name; ``stresses``: stresses of the fitted law [kPa]; arrays (n,).
     """
     figure = Figure(figsize=(5.2 * len(stresses), 6.4), layout="constrained")
     axes = figure.subplots(2, len(stresses), squeeze=False, height_ratios=[2, 1])
@@ -46,7 +46,7 @@ def fit_figure(columns: Mapping[str, np.ndarray], stresses: Mapping[str, np.ndar
 
 
 def _broken(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """With a gap where x jumps, as it does from the end of one loading to the start of the next."""
+    """Return the points of a curve, with NaN inserted where x jumps, as between two successive loadings."""
     steps = np.abs(np.diff(x))
     if not np.any(steps > 0.0):
         return x, y

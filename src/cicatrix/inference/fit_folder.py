@@ -1,4 +1,4 @@
-"""The folder of a fit: numbers, the fitted case, residuals, a picture."""
+"""Output folder of a fit: results, fitted case, residuals and a figure."""
 
 from __future__ import annotations
 
@@ -10,35 +10,34 @@ from typing import Any
 
 import numpy as np
 
-from ..cases.reading import apply_overrides
+from ..cases.reading import apply_overrides, case_table
 from ..core.errors import InputError
 from ..files.atomic import replacing, write_bytes, write_json
 from ..files.toml import toml_text
-from ..cases.reading import case_table
 from .figures_fit import fit_figure
 
 
 def claim_folder(path: Path) -> Path:
-    """Make the folder.
+    """Create the folder of a fit.
 
     Raises
     ------
     InputError
-        If it is there already and not empty, or cannot be made.
+        If the folder exists and is not empty, or cannot be created.
     """
     try:
         path.mkdir(parents=True, exist_ok=True)
         if any(path.iterdir()):
-            raise InputError(f"--out: {path} is there already and not empty; give a new name")
+            raise InputError(f"--out: {path} exists and is not empty; give a new name")
     except OSError as error:
-        raise InputError(f"--out: {path} cannot be made: {error.strerror}") from None
+        raise InputError(f"--out: {path} cannot be created: {error.strerror}") from None
     return path
 
 
 def write_fit(
     folder: Path,
     case: Any,
-    told: Mapping[str, Any],
+    content: Mapping[str, Any],
     values: Mapping[str, float],
     columns: Mapping[str, np.ndarray],
     stresses: Mapping[str, np.ndarray],
@@ -48,16 +47,17 @@ def write_fit(
     Parameters
     ----------
     folder : Path
+        Folder of the fit.
     case : PointCase
-        As it was before the fit.
-    told : mapping
-        What ``fit.json`` holds; NaN and infinity become null.
+        Case before the fit.
+    content : mapping
+        Content of ``fit.json``; NaN and infinity become null.
     values : mapping of str to float
         Fitted number of each key.
     columns, stresses : mapping of str to (n,) array
-        What was measured, and the fitted law's stresses [kPa].
+        Measured data, and stresses of the fitted law [kPa].
     """
-    write_json(folder / "fit.json", _plain(told))
+    write_json(folder / "fit.json", _plain(content))
     tables = apply_overrides(case_table(case), [f"{key}={value!r}" for key, value in values.items()])
     write_bytes(folder / "fitted.toml", toml_text(tables).encode())
     write_bytes(folder / "residuals.csv", _residuals(columns, stresses).encode())
@@ -66,7 +66,7 @@ def write_fit(
 
 
 def _residuals(columns: Mapping[str, np.ndarray], stresses: Mapping[str, np.ndarray]) -> str:
-    """One row per measured one: time, stretches, and measured, fitted and the difference of each stress."""
+    """Return CSV text with one line per measurement: time, stretches, and measured, fitted and residual value of each stress."""
     given = ("time_h", "lambda_x", "lambda_y", "lambda_z", "shear")
     table = {name: columns[name] for name in given if name in columns}
     for name, fitted in stresses.items():

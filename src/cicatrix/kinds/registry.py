@@ -10,24 +10,24 @@ from importlib import import_module, resources
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from ..cases.reading import checked, kind_of, read_tables
+from ..cases.reading import kind_of, read_tables
 from ..cases.table import Case
 from ..core.errors import InputError
 
 
 class Entry(NamedTuple):
-    """Names of what a kind's folder holds: its case type in ``case.py``, its simulation in ``run.py``."""
+    """Names in the package of a kind: its case type in ``case.py``, its simulation in ``run.py``."""
 
     case: str
     simulation: str
     checker: str = ""
-    """Module whose ``faults_of(case)`` looks into the files of a case where that takes no more than a second."""
+    """Module whose ``faults_of(case)`` checks the content of a case's files, for kinds where that takes a second at most."""
 
 
 KINDS = {
-    "lumpectomy": Entry("LumpectomyCase", "Lumpectomy"),
+    "lumpectomy": Entry("LumpectomyCase", "LumpectomyRun"),
     "automaton": Entry("AutomatonCase", "AutomatonRun"),
-    "equilibrium": Entry("EquilibriumCase", "equilibrium"),
+    "equilibrium": Entry("EquilibriumCase", "EquilibriumRun"),
     "material-point": Entry("PointCase", "MaterialPoint"),
     "adhesion": Entry("AdhesionCase", "AdhesionRun"),
     "signalling": Entry("SignallingCase", "SignallingRun", checker="network"),
@@ -59,7 +59,7 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> Any:
     Raises
     ------
     InputError
-        With the first fault, and how many more there are.
+        If the case is invalid; the message states the first fault and how many more there are.
     """
     case, faults = _examined(Path(path), overrides)
     if case is None:
@@ -74,16 +74,16 @@ def case_from(tables: Mapping[str, Any], folder: str | Path = ".") -> Any:
     Parameters
     ----------
     tables : mapping
-        ``kind`` and what belongs to it.
+        ``kind`` and the tables of that kind.
     folder : str or Path
         Folder that relative paths start from.
 
     Raises
     ------
     InputError
-        With every fault.
+        If a value is not valid; the message lists every fault.
     """
-    case, faults = checked(tables, case_type(kind_of(tables, KINDS)), Path(folder))
+    case, faults = case_type(kind_of(tables, KINDS)).checked(tables, Path(folder))
     if case is None:
         raise InputError("; ".join(faults))
     return case
@@ -96,7 +96,7 @@ def demo_case() -> Any:
 
 
 def check_case(path: str | Path, overrides: Sequence[str] = ()) -> list[str]:
-    """Return every fault of a case file, one sentence each; an empty list means that it is sound."""
+    """Return every fault of a case file, one sentence each; an empty list means that it is valid."""
     case, faults = _examined(Path(path), overrides)
     if case is not None and KINDS[case.kind].checker:
         return _module(case.kind, KINDS[case.kind].checker).faults_of(case)
@@ -114,7 +114,7 @@ def _examined(path: Path, overrides: Sequence[str]) -> tuple[Any, list[str]]:
         kind = case_type(kind_of(tables, KINDS))
     except InputError as error:
         return None, [str(error)]
-    return checked(tables, kind, path.parent)
+    return kind.checked(tables, path.parent)
 
 
 def _module(kind: str, name: str) -> Any:

@@ -1,48 +1,43 @@
-"""A case run from its file to its folder."""
+"""Run a case and write its folder, or build its simulation so that the caller can step it."""
 
 from __future__ import annotations
 
-import tempfile
+from collections.abc import Mapping
 from dataclasses import replace
-from importlib import import_module
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from ..cases.reading import case_table, input_files
 from ..cases.table import Case
 from ..core.errors import InputError
-from ..core.ranks import Ranks, world
+from ..core.ranks import world
+from ..runs.driver import drive
+from ..runs.kind import Simulation
 from ..runs.progress import Progress
-from ..runs.results import Results, RunFolder, read_results
+from ..runs.results import Results, RunFolder, open_run
+from ..runs.scratch import ScratchFolder
+from .registry import case_from, load_case, simulation_type
 
-RUNS = {
-    "lumpectomy": "LumpectomyRun",
-    "automaton": "AutomatonRun",
-    "equilibrium": "EquilibriumRun",
-    "material-point": "PointRun",
-    "adhesion": "AdhesionRun",
-    "signalling": "SignallingRun",
-    "tissue-cell": "TissueCellRun",
-    "wound": "WoundRun",
-}
-FOLLOWERS = {"automaton": "follow", "equilibrium": "follow"}  # what the other ranks of several do
+CaseLike = Case | str | Path | Mapping[str, Any]
 
 
 def simulate(
-    case: Case, out: str | Path | None = None, resume: bool = False, progress: Progress | None = None
+    case: CaseLike, out: str | Path | None = None, resume: bool = False, progress: Progress | None = None
 ) -> Results:
     """Run a case.
 
     Parameters
     ----------
-    case : LumpectomyCase, AutomatonCase, EquilibriumCase, PointCase, AdhesionCase, SignallingCase, TissueCellCase or WoundCase
-        What to run.
+    case : Case, str, Path or mapping
+        What to run: a case, the path of a case file, or nested tables as a case file holds them; paths in such tables
+        are relative to the working folder.
     out : str or Path, optional
-        The run's folder; without it nothing is kept on disk.
+        The run's folder; without it a temporary one, which is removed with the results.
     resume : bool
-        Go on from the last checkpoint in ``out``: to the same bytes as a run that was never stopped.
+        Continue from the last checkpoint in ``out``; the results are bitwise those of an uninterrupted run.
     progress : Progress, optional
-        Hears of the stages.
+        Receives the progress of the stages.
 
     Raises
     ------
@@ -53,45 +48,66 @@ def simulate(
 
     Notes
     -----
-    Where ``mpiexec`` started several ranks all of them call this alike: the first one writes, and all get the results.
+    Under ``mpiexec`` all ranks must call this function with the same arguments; the first one writes, and all return the results.
     """
+    case = as_case(case)
     if out is None:
-        with tempfile.TemporaryDirectory() as folder:
-            return replace(simulate(case, Path(folder) / "run", progress=progress), folder=None)
-    ranks, progress = world(), progress or Progress()
-    if ranks.size > 1 and case.kind not in FOLLOWERS:
+        scratch = ScratchFolder()
+        results = simulate(case, scratch.path / "run", progress=progress)
+        return replace(results, _scratch=scratch) if world().is_first else replace(results, folder=None)
+    ranks, progress, kind = world(), progress or Progress(), simulation_type(case.kind)
+    if ranks.size > 1 and not kind.on_ranks:
         raise InputError(f'kind = "{case.kind}" runs in one process: start it without mpiexec')
 
     def opened() -> RunFolder:
+        inputs, sources = input_files(case), case.sources()
         return RunFolder.open(
-            out,
-            case_table(case),
-            seed=case.seed,
-            inputs=input_files(case),
-            sources=case.sources(),
-            resume=resume,
-            progress=progress,
+            out, case_table(case), seed=case.seed, inputs=inputs, sources=sources, resume=resume, progress=progress
         )
+
+    def led(folder: RunFolder) -> Results:
+        with folder:
+            if ranks.share(not folder.already_finished):
+                drive(kind, case, folder, progress, ranks)
+        return open_run(folder.path)
+
+    def followed() -> None:
+        if ranks.share(True):  # decided by the first rank
+            drive(kind, case, None, Progress(), ranks)
 
     with ranks.uninterrupted():
         folder = ranks.agree(lambda: opened() if ranks.is_first else None)
-        results: Any = ranks.agree(lambda: _lead(case, folder, progress, ranks) if folder else _follow(case, ranks))
+        results: Any = ranks.agree(partial(led, folder) if folder else followed)
         return ranks.share(results)
 
 
-def _lead(case: Case, folder: RunFolder, progress: Progress, ranks: Ranks) -> Results:
-    with folder:
-        if ranks.share(not folder.already_finished):
-            run = _part(RUNS, case)(case, folder, progress)
-            folder.finish(run.go())
-    return read_results(folder.path)
+def build(case: CaseLike) -> Simulation:
+    """Build the simulation that ``simulate`` would integrate, so that the caller can step it.
+
+    Parameters
+    ----------
+    case : Case, str, Path or mapping
+        As for :func:`simulate`.
+
+    Raises
+    ------
+    InputError
+        If the case or its files are at fault.
+
+    Examples
+    --------
+    >>> simulation = cicatrix.build("case.toml")
+    >>> for state in simulation.march(simulation.start()):
+    ...     print(simulation.rows(state))
+    """
+    case = as_case(case)
+    return simulation_type(case.kind).of(case)(case)
 
 
-def _follow(case: Case, ranks: Ranks) -> None:
-    if ranks.share(True):
-        _part(FOLLOWERS, case)(case, ranks)
-
-
-def _part(parts: dict[str, str], case: Case) -> Any:
-    """Load what runs a kind, and nothing that another kind needs."""
-    return getattr(import_module(f".{case.kind.replace('-', '_')}.run", __package__), parts[case.kind])
+def as_case(case: CaseLike) -> Any:
+    """Return a case: as given, read from a file, or checked from nested tables."""
+    if isinstance(case, Case):
+        return case
+    if not isinstance(case, (str, Path, Mapping)):
+        raise TypeError(f"a case, the path of a case file or nested tables are needed; got {type(case).__name__}")
+    return case_from(case) if isinstance(case, Mapping) else load_case(case)

@@ -1,1 +1,1 @@
-"""Stress at a point, one law per file."""
+"""Constitutive laws: stress at a point, one law per file."""

@@ -1,4 +1,4 @@
-"""Many points in one compiled call, some at a time: what one step of the way needs stays in the cache, and in memory."""
+"""Evaluation of many points in batches, in one compiled call, so that intermediate results fit into cache and RAM."""
 
 from __future__ import annotations
 
@@ -11,20 +11,21 @@ from jax import Array
 
 from ..core.errors import InputError
 
-POINTS = 1024  # about what a core's cache holds of a law's nine derivatives
+POINTS = 1024  # nine directional derivatives of a law at about this many points fit into a core's cache
 
 
 def chunked(work: Callable[..., Any], points: Any, size: int = POINTS) -> Any:
-    """Do the work on so many points at a time; the same numbers as ``work(points)``.
+    """Apply ``work`` to batches of ``size`` points; the result equals ``work(points)``.
 
     Parameters
     ----------
     work : function of a pytree of arrays (m, ...) to a pytree of arrays (m, ...)
-        Whatever is not an array of points, a law with single numbers for parameters say, it closes over.
+        Function to evaluate. Anything that is not an array over points, such as a law with scalar parameters, must be
+        captured in its closure.
     points : pytree of arrays (n, ...)
-        Deformation gradients, histories, parameters of a law with one number per point.
+        Arguments of ``work`` at n points: deformation gradients, histories, and law parameters with one number per point.
     size : int
-        Points at a time; those left over at the end are done in a call of their own.
+        Number of points in a batch; the remaining points, fewer than this, are evaluated in a separate call.
 
     Returns
     -------
@@ -33,12 +34,12 @@ def chunked(work: Callable[..., Any], points: Any, size: int = POINTS) -> Any:
     Raises
     ------
     InputError
-        If ``size`` is below 1, or the arrays are not of as many points.
+        If ``size`` is below 1, or the arrays do not all have the same number of points.
 
     Notes
     -----
-    Only the answers are held for all points: 720 bytes a point for P and its tangent. Call it inside ``jax.jit``; ``jax.grad``
-    and ``jax.vmap`` go through it.
+    Only the results are stored for all points: 720 bytes per point for P and its tangent. Call this function inside
+    ``jax.jit``; ``jax.grad`` and ``jax.vmap`` can be applied to it.
     """
     counts = {leaf.shape[0] if leaf.ndim else 0 for leaf in map(jnp.asarray, jax.tree.leaves(points))}
     if size < 1:

@@ -1,7 +1,7 @@
-r"""Memory of what was laid down when: as cohorts, each with its mass and its natural state.
+r"""Deposition history of a constituent, stored as cohorts, each with a mass and a natural (stress-free) state.
 
-A cohort laid down at tau carries :math:`F_i = F(s) N`, :math:`N = U(\tau)^{-1} G`. One lifetime serves all cohorts of a
-constituent, so nothing but N tells one from another and cohorts of equal N may be one.
+A cohort deposited at time tau has the elastic deformation :math:`F_i = F(s) N`, :math:`N = U(\tau)^{-1} G`. All cohorts of a
+constituent have the same mean lifetime, so they differ only in N, and cohorts of equal N can be merged.
 """
 
 from __future__ import annotations
@@ -20,137 +20,145 @@ from .material import EnergyMaterial, State
 
 
 class Memory(Protocol):
-    """What a constituent remembers of its past."""
+    """Interface of the methods that store the deposition history of one constituent."""
 
     def start(self, mass: Array, natural: Array) -> State:
-        """One cohort: mass (...) [1], natural state N (..., 3, 3)."""
+        """Return the history that consists of one cohort of mass (...) [1] and natural state N (..., 3, 3)."""
         ...
 
     def mass(self, state: State) -> Array:
-        """Mass of all cohorts (...) [1]."""
+        """Return the total mass of all cohorts (...) [1]."""
         ...
 
     def energy(self, law: EnergyMaterial, F: Array, state: State) -> Array:
-        """Energy of all cohorts at F (..., 3, 3) -> (...) [kPa]."""
+        """Return the total energy of all cohorts at F (..., 3, 3) -> (...) [kPa]."""
         ...
 
     def absorb(
         self, law: EnergyMaterial, F: Array, state: State, survival: Array, mass: Array, natural: Array
     ) -> State:
-        """Leave the share ``survival`` of every cohort and add one, in a step that ends at F."""
+        """Return the history after a step that ends at F: every cohort is multiplied by ``survival``, and a new one is added.
+
+        ``survival`` (...) [1] is the fraction that survives the step; the new cohort has ``mass`` (...) [1] and natural state
+        ``natural`` (..., 3, 3).
+        """
         ...
 
 
 class Form(Protocol):
-    """How a mixture remembers."""
+    """Method by which a mixture stores its deposition history."""
 
     def memory(self, law: EnergyMaterial) -> Memory:
-        """What suits a constituent of this law."""
+        """Return the object that stores the history (:class:`Memory`) of a constituent with this law."""
         ...
 
 
 class Cohorts(NamedTuple):
-    """Cohorts of one constituent, in no order; empty places have no mass."""
+    """Cohorts of one constituent, in arbitrary order; empty slots have zero mass."""
 
     masses: Array
-    """(..., n) [1], in masses of the mixture at first."""
+    """Mass of each cohort relative to the initial mass of the mixture (..., n) [1]."""
     natural: Array
-    """N of each (..., n, 3, 3)."""
-    kept: Array
-    """How many places are taken for good (...), not more than n; 0 where they are used again."""
+    """Natural state N of each cohort (..., n, 3, 3)."""
+    n_permanent: Array
+    """Number of slots that are filled and never reused (...), at most n; 0 if slots are reused."""
 
 
-class Places(eqx.Module):
-    """Cohorts in a fixed number of places.
+class CohortSlots(eqx.Module):
+    """Base class of deposition histories that store cohorts in a fixed number of slots.
 
     Parameters
     ----------
     cohorts : int
-        Places.
+        Number of slots.
     """
 
     cohorts: int = eqx.field(static=True)
 
     def start(self, mass: Array, natural: Array) -> Cohorts:
-        """One cohort of mass (...) and natural state (..., 3, 3), and empty places."""
+        """Return the history with one cohort of mass (...) and natural state (..., 3, 3); all other slots are empty."""
         masses = jnp.zeros((*mass.shape, self.cohorts)).at[..., 0].set(mass)
         everywhere = jnp.broadcast_to(natural[..., None, :, :], (*mass.shape, self.cohorts, 3, 3))
         return Cohorts(masses, everywhere, jnp.zeros(mass.shape, int))
 
     def mass(self, state: Cohorts) -> Array:
-        """Sum over the cohorts (...) [1]."""
+        """Return the total mass of the cohorts (...) [1]."""
         return jnp.sum(state.masses, axis=-1)
 
     def energy(self, law: EnergyMaterial, F: Array, state: Cohorts) -> Array:
-        """Sum over the cohorts at F (..., 3, 3) -> (...) [kPa]."""
+        """Return the total energy of the cohorts at F (..., 3, 3) -> (...) [kPa]."""
         each = jax.vmap(lambda N: law.energy(product(F, N)), in_axes=-3, out_axes=-1)(state.natural)
         return jnp.sum(state.masses * each, axis=-1)
 
 
 def _put(state: Cohorts, survival: Array, place: Array, mass: Array, natural: Array) -> Cohorts:
-    """Let every cohort decay and put another in one place (...)."""
+    """Multiply all masses by ``survival`` (...), and store a new cohort in slot number ``place`` (...)."""
     here = jnp.arange(state.masses.shape[-1]) == place[..., None]
     masses = jnp.where(here, mass[..., None], survival[..., None] * state.masses)
-    return Cohorts(masses, jnp.where(here[..., None, None], natural[..., None, :, :], state.natural), state.kept)
+    return Cohorts(masses, jnp.where(here[..., None, None], natural[..., None, :, :], state.natural), state.n_permanent)
 
 
-class Exact(Places):
-    """Every cohort kept, one per step: the heredity integral itself, for checking what is cheaper.
+class Exact(CohortSlots):
+    """Exact heredity integral that stores one cohort per step; a reference for the cheaper forms.
 
     Parameters
     ----------
     cohorts : int
-        How many can be kept: one per step, and the first.
+        Number of slots: one per step, plus one for the initial cohort.
 
     Raises
     ------
     InputError
-        By ``absorb``, when there is no place left. Compiled code cannot raise: masses become NaN, and :func:`used_up` tells.
+        From ``absorb``, if no slot is free. Compiled code cannot raise: the masses become NaN instead, and :func:`exceeded_slots`
+        detects it.
     """
 
     cohorts: int = eqx.field(static=True, default=256)
 
     def memory(self, law: EnergyMaterial) -> Memory:
-        """Itself."""
+        """Return this object, which implements :class:`Memory` for any law."""
         return self
 
     def start(self, mass: Array, natural: Array) -> Cohorts:
-        """One cohort, whose place is taken for good."""
+        """Return the history with one cohort of mass (...) and natural state (..., 3, 3), whose slot is never reused."""
         state = super().start(mass, natural)
-        return state._replace(kept=state.kept + 1)
+        return state._replace(n_permanent=state.n_permanent + 1)
 
     def absorb(
         self, law: EnergyMaterial, F: Array, state: Cohorts, survival: Array, mass: Array, natural: Array
     ) -> Cohorts:
-        """Take the next place."""
-        is_full = state.kept >= self.cohorts
+        """Return the history with all masses multiplied by ``survival`` and the new cohort in the next free slot."""
+        is_full = state.n_permanent >= self.cohorts
         if not isinstance(is_full, jax.core.Tracer) and bool(jnp.any(is_full)):
             raise InputError(
-                f"Exact.cohorts ({self.cohorts}) is used up: give it one place per step and one more, or use Recursive."
+                f"Exact.cohorts ({self.cohorts}) is used up: set it to the number of steps plus one, or use Recursive."
             )
         survival = jnp.where(is_full, jnp.nan, survival)
-        return _put(state, survival, state.kept, mass, natural)._replace(kept=state.kept + 1)
+        return _put(state, survival, state.n_permanent, mass, natural)._replace(n_permanent=state.n_permanent + 1)
 
 
-def used_up(state: State, more: int = 0) -> int:
-    """Places of an exact memory in a law's state that so many more steps would overfill; 0 where there is none."""
+def exceeded_slots(state: State, more: int = 0) -> int:
+    """Return the number of slots of an :class:`Exact` history if ``more`` further steps would need more slots, otherwise 0.
+
+    ``state`` is the history of a law, of which the Exact history may be a part.
+    """
     parts = jax.tree.leaves(state, is_leaf=lambda part: isinstance(part, Cohorts))
-    memories = [part for part in parts if isinstance(part, Cohorts) and np.any(part.kept)]
-    return next((m.masses.shape[-1] for m in memories if np.max(m.kept) + more > m.masses.shape[-1]), 0)
+    memories = [part for part in parts if isinstance(part, Cohorts) and np.any(part.n_permanent)]
+    return next((m.masses.shape[-1] for m in memories if np.max(m.n_permanent) + more > m.masses.shape[-1]), 0)
 
 
-class MergedCohorts(Places):
-    """A fixed number of cohorts: before another is added, the two that differ least become one.
+class MergedCohorts(CohortSlots):
+    """Deposition history as a fixed number of cohorts: the two most similar ones are merged before a new one is added.
 
-    The merged one has their mass and their mean N by mass. Least is the mass-weighted scatter lost, m_1 m_2 / (m_1 + m_2)
-    |N_1 - N_2|^2 (Ward 1963): an empty place costs nothing, nor do equal cohorts, so as long as a history has not more
-    different natural states than places nothing is lost. Which two is settled before the new one is known, so stress
-    stays smooth in F.
+    The merged cohort has the total mass and the mass-weighted mean N of both. The pair with the smallest loss of
+    mass-weighted scatter is chosen, m_1 m_2 / (m_1 + m_2) |N_1 - N_2|^2 (Ward 1963). Merging equal cohorts or using an empty
+    slot loses nothing, so the method is exact while there are no more distinct natural states than slots. The pair is chosen
+    before the new cohort is known, so the stress stays smooth in F.
 
     Parameters
     ----------
     cohorts : int
-        Places, 2 at least.
+        Number of slots, at least 2.
     """
 
     cohorts: int = eqx.field(static=True, default=16)
@@ -158,7 +166,7 @@ class MergedCohorts(Places):
     def absorb(
         self, law: EnergyMaterial, F: Array, state: Cohorts, survival: Array, mass: Array, natural: Array
     ) -> Cohorts:
-        """Merge two, and take the place of the second."""
+        """Return the history with the two most similar cohorts merged, and the new cohort in the slot that this frees."""
         n = self.cohorts
         cheapest = jnp.argmin(lax.stop_gradient(_scatter(state)).reshape(*mass.shape, n * n), axis=-1)
         first, second = cheapest // n, cheapest % n
@@ -171,7 +179,7 @@ class MergedCohorts(Places):
 
 
 def _scatter(state: Cohorts) -> Array:
-    """What merging i and j loses (..., n, n); infinite where not i < j."""
+    """Return the scatter that is lost if cohorts i and j are merged (..., n, n); infinite unless i < j."""
     m, n = state.masses, state.masses.shape[-1]
     apart = state.natural[..., :, None, :, :] - state.natural[..., None, :, :, :]
     both = m[..., :, None] + m[..., None, :]
@@ -186,53 +194,57 @@ def _taken(state: Cohorts, place: Array) -> tuple[Array, Array]:
     return jnp.sum(jnp.where(here, state.masses, 0.0), axis=-1), jnp.sum(natural, axis=-3)
 
 
-class Moment(NamedTuple):
+class CohortMoments(NamedTuple):
     """Mass and second moment of all cohorts of one constituent."""
 
     total: Array
-    """(...) [1]."""
+    """Total mass (...) [1]."""
     second: Array
-    """Sum of m N N^T, every N scaled to det N = 1 (..., 3, 3) [1]."""
+    """Sum of m N N^T, with every N scaled to det N = 1 (..., 3, 3) [1]."""
 
 
 @runtime_checkable
 class LinearInShape(Protocol):
-    """A law whose energy is linear in J^(-2/3) F^T F, so that of many cohorts follows from their second moment."""
+    """Interface of laws whose energy is linear in J^(-2/3) F^T F: the energy of many cohorts follows from their second moment."""
 
     def energy_of_many(self, F: Array, mass: Array, moment: Array) -> Array:
-        """Sum of m Psi(F N): F (..., 3, 3), sum of m (...) and of m N N^T (..., 3, 3), det N = 1 -> (...) [kPa]."""
+        """Return the sum of m Psi(F N): F (..., 3, 3), sums of m (...) and of m N N^T (..., 3, 3), det N = 1 -> (...) [kPa]."""
         ...
 
 
 class SecondMoment(eqx.Module):
-    """The heredity integral without loss, of a law that is linear in J^(-2/3) F^T F."""
+    """Exact heredity integral of a law that is linear in J^(-2/3) F^T F, stored as the second moment of its cohorts."""
 
-    def start(self, mass: Array, natural: Array) -> Moment:
-        """The moment of one cohort."""
+    def start(self, mass: Array, natural: Array) -> CohortMoments:
+        """Return the moments of one cohort of mass (...) [1] and natural state (..., 3, 3)."""
         shape = natural / jnp.cbrt(det(natural))[..., None, None]
-        return Moment(mass, mass[..., None, None] * product(shape, jnp.swapaxes(shape, -1, -2)))
+        return CohortMoments(mass, mass[..., None, None] * product(shape, jnp.swapaxes(shape, -1, -2)))
 
-    def mass(self, state: Moment) -> Array:
-        """Mass of all cohorts (...) [1]."""
+    def mass(self, state: CohortMoments) -> Array:
+        """Return the total mass of all cohorts (...) [1]."""
         return state.total
 
-    def energy(self, law: Any, F: Array, state: Moment) -> Array:
-        """Energy of all cohorts at F (..., 3, 3) -> (...) [kPa]."""
+    def energy(self, law: Any, F: Array, state: CohortMoments) -> Array:
+        """Return the total energy of all cohorts at F (..., 3, 3) -> (...) [kPa]."""
         return law.energy_of_many(F, state.total, state.second)
 
-    def absorb(self, law: Any, F: Array, state: Moment, survival: Array, mass: Array, natural: Array) -> Moment:
-        """Moments decay and add up."""
+    def absorb(
+        self, law: Any, F: Array, state: CohortMoments, survival: Array, mass: Array, natural: Array
+    ) -> CohortMoments:
+        """Return the moments multiplied by ``survival`` (...), plus those of the new cohort."""
         fresh = self.start(mass, natural)
-        return Moment(survival * state.total + fresh.total, survival[..., None, None] * state.second + fresh.second)
+        return CohortMoments(
+            survival * state.total + fresh.total, survival[..., None, None] * state.second + fresh.second
+        )
 
 
 class Recursive(eqx.Module):
-    """Fixed memory per point: the second moment where the law allows it, else merged cohorts.
+    """Deposition history of fixed size per point: the second moment if the law allows it, otherwise merged cohorts.
 
     Parameters
     ----------
     cohorts : int
-        Of each constituent whose law is not linear in J^(-2/3) F^T F; 2 at least.
+        Number of cohorts of each constituent whose law is not linear in J^(-2/3) F^T F; at least 2.
     """
 
     cohorts: int = eqx.field(static=True, default=16)
@@ -242,5 +254,5 @@ class Recursive(eqx.Module):
             raise InputError(f"Recursive.cohorts must be 2 or more; got {self.cohorts}.")
 
     def memory(self, law: EnergyMaterial) -> Memory:
-        """What loses least."""
+        """Return a :class:`SecondMoment` for a law linear in J^(-2/3) F^T F, otherwise :class:`MergedCohorts`."""
         return SecondMoment() if isinstance(law, LinearInShape) else MergedCohorts(self.cohorts)

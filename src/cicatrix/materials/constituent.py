@@ -1,4 +1,4 @@
-"""What a tissue is made of, as far as cells lay it down and take it away."""
+"""Constituent of a constrained mixture, which cells deposit and remove."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from .material import EnergyMaterial, has_bulk_modulus
 
 
 class Constituent(Law):
-    r"""One constituent of a mixture: how it carries load, how it is laid down, how long it lasts.
+    r"""One constituent of a mixture: its strain energy, its deposition and its lifetime.
 
     .. math:: m = k \, \varphi_0 \left\langle 1 + K_\sigma (\sigma / \sigma_h - 1) \right\rangle, \qquad
         q(s, \tau) = e^{-k (s - \tau)}, \qquad G = g \, a \otimes a + g^{-1/2} (I - a \otimes a)
 
-    Production m per time, survival q since deposition and deposition stretch G, which keeps volume: Humphrey & Rajagopal
-    (2002), whom Guo, Mofrad & Buganza Tepole follow in their Eqs (8)-(11); :math:`k = 1 / T`, :math:`\langle x \rangle =
-    \max(x, 0)`. Equal prestretch g across a plane is the one of :math:`g^{-2}` along its normal.
+    Production m per time, surviving fraction q since deposition and isochoric deposition stretch G are those of Humphrey &
+    Rajagopal (2002), whom Guo, Mofrad & Buganza Tepole follow in their Eqs (8)-(11); :math:`k = 1 / T`, :math:`\langle x \rangle
+    = \max(x, 0)`. An equibiaxial prestretch g in a plane is the same as a prestretch :math:`g^{-2}` along its normal.
 
     Parameters
     ----------
     law : EnergyMaterial
-        Energy per reference volume of the pure constituent, about the configuration in which it is free of stress. It
-        resists changes of shape only (the mixture's volume follows its mass) and has no history of its own.
+        Energy per reference volume of the pure constituent, measured from its stress-free configuration. The law must
+        resist changes of shape only (the mixture's volume follows its mass) and have no history.
     fraction : float or (...) array [1]
-        phi_0, its mass at first per mass of the mixture.
+        phi_0, initial mass of the constituent relative to the initial mass of the mixture.
     lifetime : float or (...) array [s], optional
-        Mean life T (half-life over ln 2); left out: it is neither replaced nor lost, as elastin.
+        Mean lifetime T (half-life over ln 2); if omitted, the constituent is neither replaced nor lost, like elastin.
     prestretch : float or (...) array [1]
-        g, the stretch along a at which it is laid down.
+        g, stretch along a with which the constituent is deposited.
     angle, elevation : float or (...) array [rad]
-        Of a about the first axis in the plane of the first two, and out of that plane.
+        Direction a: angle from the first axis in the plane of the first two axes, and elevation out of that plane.
     gain : float or (...) array [1]
-        K_sigma: how much production heeds sigma, the constituent's mean stress along R a, the direction in which it is laid
-        down now: per its own mass, without the pressure that keeps volume.
+        K_sigma: sensitivity of production to sigma, the mean stress of the constituent along R a, the current deposition
+        direction; sigma is per mass of the constituent and excludes the mixture's volumetric pressure.
     homeostatic_stress : float or (...) array [kPa], optional
-        sigma_h, at which production is basal; left out: the stress with which it is laid down.
+        sigma_h, stress at which production is basal; if omitted, the stress at deposition.
 
     Raises
     ------
     InputError
-        If a parameter is out of range; if the law has a history or a bulk modulus; if production is to heed stress, but the
-        stress at deposition, to which it is to be compared, is not tensile.
+        If a parameter is out of range, if the law has a history or a bulk modulus, or if production depends on stress but its
+        reference, the stress at deposition, is not tensile.
     """
 
     law: EnergyMaterial
@@ -60,47 +60,48 @@ class Constituent(Law):
 
     def __check_init__(self):
         if jax.tree.leaves(self.law.initial_state((1,))):
-            raise InputError("Constituent.law must be elastic; each cohort would need a history of its own.")
+            raise InputError("Constituent.law must be elastic: each cohort would need its own history.")
         if has_bulk_modulus(self.law):
             raise InputError(
                 "Constituent.law must have kappa = 0 kPa: give kappa to the mixture, whose volume follows its mass."
             )
         if self.homeostatic_stress is None and _refers_to_nothing(self.gain, self.deposition_stress()):
             raise InputError(
-                "Constituent.homeostatic_stress (sigma_h) is needed where gain > 0 and the constituent is laid down without "
-                "tension; or give it a prestretch above 1."
+                "Constituent.homeostatic_stress (sigma_h) is needed where gain > 0 and the constituent is deposited without "
+                "tension; give sigma_h, or a prestretch above 1."
             )
 
     def direction(self) -> Array:
-        """Unit vector a along which it is laid down: (..., 3)."""
+        """Return the unit vector a of the deposition direction: (..., 3)."""
         a, e = jnp.broadcast_arrays(jnp.asarray(self.angle), jnp.asarray(self.elevation))
         return jnp.stack([jnp.cos(e) * jnp.cos(a), jnp.cos(e) * jnp.sin(a), jnp.sin(e)], axis=-1)
 
     def deposition_stretch(self) -> Array:
-        """G, from free of stress to as laid down, det G = 1: (..., 3, 3)."""
+        """Return the deposition stretch G, from the stress-free to the deposited state, det G = 1: (..., 3, 3)."""
         a = self.direction()
         g = jnp.asarray(self.prestretch)[..., None, None]
         along = a[..., :, None] * a[..., None, :]
         return g * along + (IDENTITY - along) / jnp.sqrt(g)
 
     def deposition_stress(self) -> Array:
-        """Kirchhoff stress along a with which it is laid down (...) [kPa], where nothing of the mixture is strained."""
-        return pull(self.law.energy, self.deposition_stretch(), self.direction())
+        """Return the Kirchhoff stress along a at deposition, that is at the elastic deformation G (...) [kPa]."""
+        return kirchhoff_stress_along(self.law.energy, self.deposition_stretch(), self.direction())
 
     def deposited(self, survived: Array, stress: Array, lost: Array) -> Array:
-        r"""Mass laid down in a step and still there at its end (...) [1], in masses of the mixture.
+        r"""Return the mass deposited in a step that survives to its end (...) [1], relative to the mixture's initial mass.
 
-        Production heeds the mean stress of all that is there at the end of the step, itself included: a quadratic equation,
-        which keeps any step bounded. Exact where that stress does not change in the step.
+        Production depends on the mean stress of the whole constituent at the end of the step, the new mass included. This
+        implicit equation is quadratic, and its solution stays bounded for any step size. It is exact if that stress does not
+        change during the step.
 
         Parameters
         ----------
         survived : (...) array [1]
-            Mass that outlives the step.
+            Mass that survives the step.
         stress : (...) array [kPa]
-            Mean stress in it, at the end of the step.
+            Mean stress of the surviving mass at the end of the step.
         lost : (...) array [1]
-            1 - q over the step.
+            Lost fraction 1 - q over the step.
         """
         basal = lost * self.fraction
         fresh = self.deposition_stress()
@@ -111,14 +112,14 @@ class Constituent(Law):
         return jnp.where(old > 0.0, 0.5 * (gap + _root(gap * gap + 4.0 * basal * survived * old)), 0.0)
 
 
-def pull(energy, F: Array, n: Array) -> Array:
-    """Kirchhoff stress n . (dPsi/dF F^T) n along a unit vector n (..., 3) at F (..., 3, 3) -> (...) [kPa]."""
+def kirchhoff_stress_along(energy, F: Array, n: Array) -> Array:
+    """Return the Kirchhoff stress n . (dPsi/dF F^T) n along a unit vector n (..., 3) at F (..., 3, 3) -> (...) [kPa]."""
     stretching = n[..., :, None] * jnp.sum(n[..., :, None] * F, axis=-2)[..., None, :]  # n n^T F
     return jax.jvp(energy, (F,), (jnp.broadcast_to(stretching, F.shape),))[1]
 
 
 def _root(x: Array) -> Array:
-    """Square root with derivative 0 at 0."""
+    """Return the square root of x, with value and derivative 0 where x <= 0."""
     return jnp.where(x > 0.0, jnp.sqrt(jnp.where(x > 0.0, x, 1.0)), 0.0)
 
 

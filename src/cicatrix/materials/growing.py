@@ -1,8 +1,9 @@
-"""Tissue that grows: a growth tensor around any law, and what drives it."""
+"""Growth of tissue: a growth tensor combined with any law, and the stimuli that drive growth."""
 
 from __future__ import annotations
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
 from ..core.law import Law, choice, param
@@ -13,19 +14,19 @@ from .material import EnergyMaterial, State
 from .orientation import Orientation, VonMises
 
 SIX = ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))
-FULL = jnp.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # which of the six each entry of a symmetric tensor is
+FULL = np.array([[0, 3, 4], [3, 1, 5], [4, 5, 2]])  # index in SIX of each entry of a symmetric tensor
 
 
 class Growth(Law):
-    r"""How tissue grows, and how fast: :math:`\dot g = s / \tau_g`, a stimulus over a time.
+    r"""Base class of growth laws with the rate :math:`\dot g = s / \tau_g`, a stimulus over a time constant.
 
-    The stimulus is the elastic stretch less 1, along fibres, of an area or of the volume; where ``homeostatic`` is given it is
-    the stress over that one, less 1, and drives the logarithm of g: tissue under pressure would else shrink to less than nothing.
+    The stimulus s is the elastic stretch (along fibres, of an area or of the volume) minus 1. If ``homeostatic`` is given, s
+    is the stress divided by ``homeostatic``, minus 1, and drives the logarithm of g, so that g stays positive in compression.
 
     Parameters
     ----------
     tau : float or (...) array [s]
-        Time of growth at a stimulus of 1.
+        Time constant of growth: the rate is 1 / tau at a stimulus of 1.
     homeostatic : float or (...) array [kPa], optional
         Cauchy stress at which stress-driven tissue neither grows nor shrinks.
     """
@@ -34,63 +35,67 @@ class Growth(Law):
     homeostatic: float | Array | None = param("kPa", "sigma_h", above=0.0, default=None)
 
     def initial_state(self, shape: tuple[int, ...]) -> Array:
-        """Growth of tissue that has not grown, 1: (*shape, n)."""
+        """Return the growth variables g of tissue that has not grown, all 1: (*shape, n)."""
         return jnp.ones((*shape, 1))
 
     def coordinates(self, g: Array) -> Array:
-        """The few numbers that the growth tensor follows from: (..., n) -> (..., m)."""
+        """Return the m independent numbers that determine the growth tensor, from the growth variables: (..., n) -> (..., m)."""
         return g
 
     def tensor(self, coordinates: Array) -> Array:
-        """F_g of them: (..., m) -> (..., 3, 3) [1]."""
+        """Return F_g from its coordinates: (..., m) -> (..., 3, 3) [1]."""
         raise NotImplementedError
 
     def stretched(self, F_e: Array) -> Array:
-        """Elastic stretches that drive growth: (..., 3, 3) -> (..., n) [1]."""
+        """Return the elastic stretches that drive growth: (..., 3, 3) -> (..., n) [1]."""
         raise NotImplementedError
 
     def stressed(self, F_e: Array, sigma: Array) -> Array:
-        """Stresses that drive growth: (..., 3, 3), (..., 3, 3) [kPa] -> (..., n) [kPa]."""
+        """Return the stresses that drive growth: (..., 3, 3), (..., 3, 3) [kPa] -> (..., n) [kPa]."""
         raise NotImplementedError
 
 
 class FibreGrowth(Growth):
-    r"""Growth into every fibre direction.
+    r"""Growth along every fibre direction.
 
     .. math:: F_g = I + \int \rho \, (\lambda_g - 1) \, V \otimes V \, d\theta, \qquad \dot\lambda_g = (\lambda_s - 1) / \tau_g
 
-    Source: Guo, Mofrad & Buganza Tepole, Eqs (14)-(15); as printed, Eq. (14) is not the identity where nothing has grown.
-    Stress-driven, it is the Cauchy stress along the deformed fibre less that along the normal of the first two axes: the
-    whole stress of a sheet, which is free along its normal, whatever pressure keeps its volume.
+    Source: Guo, Mofrad & Buganza Tepole, Eqs (14)-(15); Eq. (14) is corrected here, since as printed it is not the
+    identity without growth. The stress that drives growth is the Cauchy stress along the deformed fibre minus that along the
+    normal of the plane of the first two axes. This difference does not depend on the pressure of incompressibility; in a
+    sheet, which is stress-free along its normal, it is the full fibre stress.
 
     Parameters
     ----------
     orientation : Orientation
-        Directions; their weights are rho.
+        Directions of the fibres; their weights are rho.
     """
 
     orientation: Orientation = choice(ORIENTATIONS, default=VonMises(0.0))
 
     def initial_state(self, shape: tuple[int, ...]) -> Array:
-        """Growth stretch of every direction (*shape, n)."""
+        """Return the growth stretches of tissue that has not grown, 1 in each of n directions: (*shape, n)."""
         return jnp.ones((*shape, self.orientation.n_directions))
 
     def coordinates(self, g: Array) -> Array:
-        """Entries of F_g (..., 6)."""
+        """Return the six independent entries of F_g (..., 6), in the order of ``SIX``."""
         V, weight = self.orientation.directions()
         grown = weight * (g - 1.0)
         return jnp.stack([float(i == j) + jnp.sum(grown * V[..., i] * V[..., j], axis=-1) for i, j in SIX], axis=-1)
 
     def tensor(self, coordinates: Array) -> Array:
-        """(..., 6) -> (..., 3, 3)."""
+        """Return F_g from its six entries: (..., 6) -> (..., 3, 3)."""
         return coordinates[..., FULL]
 
     def stretched(self, F_e: Array) -> Array:
-        """lambda_s of every direction (..., n)."""
+        """Return the elastic stretch lambda_s along each of n directions: (..., 3, 3) -> (..., n) [1]."""
         return stretches(F_e, self.orientation)[0]
 
     def stressed(self, F_e: Array, sigma: Array) -> Array:
-        """Along every deformed direction (..., n)."""
+        """Return the Cauchy stress along each of n deformed directions minus that along the normal: (..., n) [kPa].
+
+        The normal is that of the plane of the first two axes.
+        """
         V, _ = self.orientation.directions()
         v = along(F_e[..., None, :, :], V)
         pull = jnp.sum(v * along(sigma[..., None, :, :], v), axis=-1) / jnp.sum(v * v, axis=-1)
@@ -98,92 +103,95 @@ class FibreGrowth(Growth):
 
 
 class AreaGrowth(Growth):
-    r"""Growth of a sheet in its plane, that of the first two axes.
+    r"""Growth of a sheet in its plane, the plane of the first two axes.
 
     .. math:: F_g = \sqrt{g} \, (I - n \otimes n) + n \otimes n, \qquad \dot g = (\theta_e - 1) / \tau_g
 
-    :math:`\theta_e` is the elastic area stretch. Source: Buganza Tepole et al. (2011), of skin. Stress-driven, it is the mean
-    Cauchy stress in the plane less that along its normal.
+    :math:`\theta_e` is the elastic area stretch. Source: Buganza Tepole et al. (2011), for skin. The stress that drives
+    growth is the mean Cauchy stress in the plane minus the stress along its normal.
     """
 
     def tensor(self, coordinates: Array) -> Array:
-        """(..., 1) -> (..., 3, 3)."""
+        """Return F_g from g: (..., 1) -> (..., 3, 3)."""
         side = jnp.sqrt(coordinates[..., 0])
         return jnp.stack([side, side, jnp.ones_like(side)], axis=-1)[..., None] * IDENTITY
 
     def stretched(self, F_e: Array) -> Array:
-        """(..., 1)."""
+        """Return the elastic area stretch theta_e of the plane of the first two axes: (..., 3, 3) -> (..., 1) [1]."""
         return jnp.linalg.norm(cofactor(F_e)[..., 2], axis=-1)[..., None]
 
     def stressed(self, F_e: Array, sigma: Array) -> Array:
-        """(..., 1)."""
+        """Return the mean stress in the plane minus the stress along its normal (..., 1) [kPa]."""
         return (0.5 * (jnp.trace(sigma, axis1=-2, axis2=-1) - 3.0 * _normal_stress(F_e, sigma)))[..., None]
 
 
 class VolumeGrowth(Growth):
-    r"""Growth alike in all directions.
+    r"""Isotropic growth of the volume.
 
     .. math:: F_g = g^{1/3} I, \qquad \dot g = (J_e - 1) / \tau_g
 
-    Source: Lubarda & Hoger (2002), with this drive. Stress-driven, it is the mean Cauchy stress, which only a law with a bulk
-    modulus knows.
+    Source: Lubarda & Hoger (2002), with this stimulus. The stress that drives growth is the mean Cauchy stress, which only a
+    law with a bulk modulus determines.
     """
 
     def tensor(self, coordinates: Array) -> Array:
-        """(..., 1) -> (..., 3, 3)."""
+        """Return F_g from g: (..., 1) -> (..., 3, 3)."""
         return jnp.cbrt(coordinates)[..., None] * IDENTITY
 
     def stretched(self, F_e: Array) -> Array:
-        """(..., 1)."""
+        """Return the elastic volume ratio J_e = det F_e: (..., 3, 3) -> (..., 1) [1]."""
         return det(F_e)[..., None]
 
     def stressed(self, F_e: Array, sigma: Array) -> Array:
-        """(..., 1)."""
+        """Return the mean Cauchy stress (..., 1) [kPa]."""
         return (jnp.trace(sigma, axis1=-2, axis2=-1) / 3.0)[..., None]
 
 
 class Growing(EnergyMaterial):
-    r"""Any law around which tissue grows.
+    r"""Law of growing tissue: any law combined with a growth tensor.
 
     .. math:: F = F_s F_g, \qquad \Psi = \det F_g \, \Psi_{law}(F_s)
 
-    Source: Guo, Mofrad & Buganza Tepole, Eqs (12)-(13). The step is backward Euler, growth and the law's own history together:
-    stable however long it is. Growth adds mass, and energy with it: none of that counts as dissipated.
+    Source: Guo, Mofrad & Buganza Tepole, Eqs (12)-(13). A step integrates growth and the law's own history together by
+    backward Euler, stable for any step size. The energy of the mass that growth adds is not counted as dissipation.
 
     Parameters
     ----------
     law : EnergyMaterial
-        Per volume of grown tissue, with or without history.
+        Law per volume of grown tissue, with or without history.
     growth : Growth
-        How it grows.
+        Growth law.
     """
 
     law: EnergyMaterial
     growth: Growth
 
     def energy(self, F: Array, state: State = ()) -> Array:
-        """Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
+        """Return Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]."""
         F_g = self.growth_tensor(state)
         return det(F_g) * self.law.energy(product(F, inv(F_g)), state[1] if state else ())
 
     def volume_at_rest(self, state: State = ()) -> Array:
-        """Volume ratio of grown tissue, and of its law at rest (...) [1]."""
+        """Return the stress-free volume ratio (...) [1]: det F_g times that of the law."""
         return det(self.growth_tensor(state)) * self.law.volume_at_rest(state[1] if state else ())
 
     def growth_tensor(self, state: State = ()) -> Array:
-        """F_g (..., 3, 3)."""
-        return self.growth.tensor(self.growth.coordinates(state[0])) if state else IDENTITY
+        """Return the growth tensor F_g (..., 3, 3)."""
+        return self.growth.tensor(self.growth.coordinates(state[0])) if state else jnp.asarray(IDENTITY)
 
     def has_potential(self) -> bool:
-        """No: what drives growth is not what its work would be done by."""
+        """Return False: the stimulus is not work-conjugate to growth, so a step has no potential."""
         return False
 
     def initial_state(self, shape: tuple[int, ...]) -> State:
-        """Growth and the law's own history."""
+        """Return the initial growth variables and the initial history of the law."""
         return self.growth.initial_state(shape), self.law.initial_state(shape)
 
     def advance(self, F: Array, state: State, dt: float) -> State:
-        """Grow for dt [s], implicitly: the unknowns are the few numbers that F_g follows from."""
+        """Return growth variables and law history after a step dt [s] that ends at F (..., 3, 3) [1], by implicit integration.
+
+        The unknowns of the equations are the independent numbers of F_g (``Growth.coordinates``).
+        """
         before, history = state
 
         def grown(coordinates: Array) -> Array:
@@ -196,12 +204,12 @@ class Growing(EnergyMaterial):
         return g, self.law.advance(F_s, history, dt)
 
     def dissipated(self, F: Array, before: State, after: State, dt: float) -> Array:
-        """That of the law, per reference volume."""
+        """Return the work that the law dissipates in a step, per reference volume (...) [kPa]."""
         F_g = self.growth_tensor(after)
         return det(F_g) * self.law.dissipated(product(F, inv(F_g)), before[1], after[1], dt)
 
     def _rate(self, F_s: Array, history: State, dt: float) -> Array:
-        """Growth in dt at this elastic deformation (..., n)."""
+        """Return the increment in dt of g, or of log g if stress drives growth, at elastic deformation F_s (..., n)."""
         growth = self.growth
         share = dt / jnp.asarray(growth.tau)[..., None]
         if growth.homeostatic is None:
@@ -212,6 +220,6 @@ class Growing(EnergyMaterial):
 
 
 def _normal_stress(F_e: Array, sigma: Array) -> Array:
-    """Cauchy stress along the deformed normal of the first two axes (...) [kPa]."""
+    """Return the Cauchy stress along the deformed normal of the plane of the first two axes (...) [kPa]."""
     n = cofactor(F_e)[..., 2]
     return jnp.sum(n * along(sigma, n), axis=-1) / jnp.sum(n * n, axis=-1)

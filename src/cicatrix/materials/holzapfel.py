@@ -18,22 +18,23 @@ class HolzapfelGasserOgden(EnergyMaterial):
         + \frac{\kappa}{2} (J - 1)^2, \qquad E_i = d \, (I_1 - 3) + (1 - 3 d) (I_{4i} - 1)
 
     The families lie at :math:`\pm` ``angle`` about the first axis in the plane of the first two, :math:`\langle E \rangle =
-    \max(E, 0)`: they bear tension only. Source: Gasser, Ogden & Holzapfel (2006), Eqs (19)-(22). There :math:`E_i` is made of the
-    isochoric invariants, which lets stretched fibres swell the tissue when it is not quite incompressible (Helfenstein et al.
-    2010); here it is made of the whole ones (Nolan et al. 2014), the same where J = 1.
+    \max(E, 0)`: they carry tension only. Source: Gasser, Ogden & Holzapfel (2006), Eqs (19)-(22). The source uses the
+    isochoric invariants in :math:`E_i`, which lets stretched fibres swell slightly compressible tissue (Helfenstein et al.
+    2010); the full invariants are used here (Nolan et al. 2014), which are equal for J = 1.
 
     Parameters
     ----------
     mu, kappa : float or (...) array [kPa]
-        Shear and bulk modulus of the ground substance; kappa 0 where something else keeps the volume.
+        Shear and bulk modulus of the ground substance; kappa is 0 if the volume is controlled elsewhere (another law, or
+        incompressibility).
     k1 : float or (...) array [kPa]
         Stiffness of the fibres.
     k2 : float or (...) array [1]
-        How fast they stiffen.
+        Exponent of the stiffening of the fibres.
     dispersion : float or (...) array [1]
-        d: 0 all along their family's direction, 1/3 in all directions alike.
+        d: 0 for fibres aligned with the direction of their family, 1/3 for an isotropic distribution.
     angle : float or (...) array [rad]
-        Of the families about the first axis.
+        Angle between the first axis and each family; the families lie on opposite sides of the axis.
     """
 
     mu: float | Array = param("kPa", "mu", low=0.0)
@@ -44,7 +45,7 @@ class HolzapfelGasserOgden(EnergyMaterial):
     kappa: float | Array = param("kPa", "kappa", low=0.0, default=0.0)
 
     def energy(self, F: Array, state: State = ()) -> Array:
-        """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
+        """Return Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
         J, I1 = det(F), first_invariant(F)
         ground = 0.5 * self.mu * (J ** (-2.0 / 3.0) * I1 - 3.0) + 0.5 * self.kappa * (J - 1.0) ** 2
         return ground + self._family(F, I1, 1.0) + self._family(F, I1, -1.0)

@@ -1,4 +1,4 @@
-"""May-Newman and Yin's law of a sheet with one family of fibres."""
+"""Law of May-Newman and Yin for a sheet with one family of fibres."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ class MayNewman(EnergyMaterial):
     .. math:: \Psi = c_0 \left( e^{c_1 (\bar I_1 - 3)^2 + c_2 (\lambda - 1)^4} - 1 \right) + \frac{\kappa}{2} (J - 1)^2
 
     :math:`\lambda = \sqrt{I_4}` is the stretch along the fibres. Source: May-Newman & Yin (1998). It has no stiffness at
-    rest: tissue that is not stretched flows, and a body of it needs a ground substance beside it.
+    rest, so a body needs an additional law for the ground substance.
 
     Parameters
     ----------
     c0 : float or (...) array [kPa]
         Scale of the stress.
     c1, c2 : float or (...) array [1]
-        How fast the tissue, and its fibres, stiffen.
+        Exponents of the stiffening of the tissue and of its fibres.
     angle : float or (...) array [rad]
-        Of the fibres about the first axis, in the plane of the first two.
+        Angle of the fibres from the first axis, in the plane of the first two.
     kappa : float or (...) array [kPa]
-        Bulk modulus; 0 where something else keeps the volume.
+        Bulk modulus; 0 if the volume is controlled elsewhere (another law, or incompressibility).
     """
 
     c0: float | Array = param("kPa", "c_0", low=0.0)
@@ -37,7 +37,7 @@ class MayNewman(EnergyMaterial):
     kappa: float | Array = param("kPa", "kappa", low=0.0, default=0.0)
 
     def energy(self, F: Array, state: State = ()) -> Array:
-        """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
+        """Return Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
         J, angle = det(F), jnp.asarray(self.angle)
         pulled = along(F, jnp.stack([jnp.cos(angle), jnp.sin(angle), jnp.zeros_like(angle)], axis=-1))
         stretch = jnp.sqrt(jnp.sum(pulled * pulled, axis=-1))

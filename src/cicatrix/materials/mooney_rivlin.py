@@ -23,7 +23,7 @@ class MooneyRivlin(EnergyMaterial):
     c10, c01 : float or (...) array [kPa]
         Coefficients of the first and second invariant.
     kappa : float or (...) array [kPa]
-        Bulk modulus; 0 where something else keeps the volume.
+        Bulk modulus; 0 if the volume is controlled elsewhere (another law, or incompressibility).
     """
 
     c10: float | Array = param("kPa", "c_10", low=0.0)
@@ -31,7 +31,7 @@ class MooneyRivlin(EnergyMaterial):
     kappa: float | Array = param("kPa", "kappa", low=0.0, default=0.0)
 
     def energy(self, F: Array, state: State = ()) -> Array:
-        """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
+        """Return Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
         J, areas = det(F), cofactor(F)
         I1_bar = J ** (-2.0 / 3.0) * first_invariant(F)
         I2_bar = J ** (-4.0 / 3.0) * jnp.sum(areas * areas, axis=(-2, -1))

@@ -22,20 +22,20 @@ class NeoHookean(EnergyMaterial):
     mu : float or (...) array [kPa]
         Initial shear modulus.
     kappa : float or (...) array [kPa]
-        Bulk modulus; 0 where something else keeps the volume.
+        Bulk modulus; 0 if the volume is controlled elsewhere (another law, or incompressibility).
     """
 
     mu: float | Array = param("kPa", "mu", low=0.0)
     kappa: float | Array = param("kPa", "kappa", low=0.0, default=0.0)
 
     def energy(self, F: Array, state: State = ()) -> Array:
-        """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
+        """Return Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
         J = det(F)
         I1_bar = J ** (-2.0 / 3.0) * first_invariant(F)
         return 0.5 * self.mu * (I1_bar - 3.0) + 0.5 * self.kappa * (J - 1.0) ** 2
 
     def response(self, F: Array, state: State = (), dt: float = 0.0) -> Response:
-        """Stress, tangent and no history, by hand, since all else is built on it: ``EnergyMaterial.response`` is the twin."""
+        """Return stress and tangent in closed form, for speed; ``EnergyMaterial.response`` gives the same."""
         C, J = cofactor(F), det(F)
         G, I1 = C / J[..., None, None], first_invariant(F)  # F^-T
         shear, pressure = self.mu * J ** (-2.0 / 3.0), self.kappa * (J - 1.0)
@@ -51,7 +51,7 @@ class NeoHookean(EnergyMaterial):
         return Response(P, sum(factor[..., None, None, None, None] * part for factor, part in parts), state)
 
     def energy_of_many(self, F: Array, mass: Array, moment: Array) -> Array:
-        """Sum of m Psi(F N) over parts of mass m and natural state N, det N = 1, from their moments.
+        """Return the sum of m Psi(F N) over cohorts of mass m and natural state N, det N = 1, from their moments.
 
         F (..., 3, 3) [1], sum of m (...) [1] and of m N N^T (..., 3, 3) [1] -> (...) [kPa].
         """
@@ -61,7 +61,7 @@ class NeoHookean(EnergyMaterial):
 
 
 def moduli_from_young(E, nu):
-    """Shear and bulk modulus of the linear limit: mu = E / (2 (1 + nu)), kappa = E / (3 (1 - 2 nu)).
+    """Return the shear and bulk modulus of the linear limit: mu = E / (2 (1 + nu)), kappa = E / (3 (1 - 2 nu)).
 
     Source: Garbey et al., Eq. (2). E [kPa] and nu [1] broadcast; returns (mu, kappa) [kPa].
     """
@@ -69,5 +69,8 @@ def moduli_from_young(E, nu):
 
 
 def young_from_moduli(mu, kappa):
-    """Undo ``moduli_from_young``: E = 9 kappa mu / (3 kappa + mu), nu = (3 kappa - 2 mu) / (6 kappa + 2 mu); (E, nu)."""
+    """Return Young's modulus and Poisson's ratio: E = 9 kappa mu / (3 kappa + mu), nu = (3 kappa - 2 mu) / (6 kappa + 2 mu).
+
+    mu and kappa [kPa] broadcast; returns (E [kPa], nu [1]).
+    """
     return 9.0 * kappa * mu / (3.0 * kappa + mu), (3.0 * kappa - 2.0 * mu) / (6.0 * kappa + 2.0 * mu)

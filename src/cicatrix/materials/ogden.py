@@ -12,11 +12,11 @@ from ..numerics.spectral import invariant
 from ..numerics.tensors import det, right_cauchy_green
 from .material import EnergyMaterial, State
 
-SMALLEST = 1e-3  # exponent; the energy of smaller ones is lost in rounding
+SMALLEST = 1e-3  # smallest absolute value of the exponent; with smaller values the energy is lost in round-off
 
 
 class Ogden(EnergyMaterial):
-    r"""One term of Ogden's energy; several add up to the law.
+    r"""One term of Ogden's energy; the full law is a sum of several terms.
 
     .. math:: \Psi = \frac{2 \mu}{\alpha^2} (\bar\lambda_1^\alpha + \bar\lambda_2^\alpha + \bar\lambda_3^\alpha - 3)
         + \frac{\kappa}{2} (J - 1)^2
@@ -32,7 +32,7 @@ class Ogden(EnergyMaterial):
     alpha : float or (...) array [1]
         Exponent of the stretches, of either sign, not 0.
     kappa : float or (...) array [kPa]
-        Bulk modulus; 0 where something else keeps the volume.
+        Bulk modulus; 0 if the volume is controlled elsewhere (another law, or incompressibility).
     """
 
     mu: float | Array = param("kPa", "mu", low=0.0)
@@ -42,10 +42,10 @@ class Ogden(EnergyMaterial):
     def __check_init__(self):
         super().__check_init__()
         if isinstance(self.alpha, (int, float, np.ndarray)) and np.any(np.abs(self.alpha) < SMALLEST):
-            raise InputError(f"Ogden.alpha (alpha) must not be 0: {SMALLEST:g} is as good; got {self.alpha}.")
+            raise InputError(f"Ogden.alpha (alpha) must not be within {SMALLEST:g} of 0; got {self.alpha}.")
 
     def energy(self, F: Array, state: State = ()) -> Array:
-        """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
+        """Return Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
         J = det(F)
         alpha = jnp.broadcast_to(jnp.asarray(self.alpha, float), J.shape)
         total = invariant(_powers, right_cauchy_green(F), 0.5 * alpha)

@@ -1,6 +1,6 @@
-"""How fibres are oriented: densities on the circle and on the sphere, and the points at which laws integrate over them.
+"""Orientation of fibres: densities on the circle and on the sphere, and quadrature points for integrals over them.
 
-A fibre along V and one along -V are the same, so densities are even and half the directions do.
+Fibres along V and -V are the same, so densities are even and half of the directions are sufficient.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from ..numerics.tensors import IDENTITY
 
 
 class Orientation(Law):
-    """A distribution of directions."""
+    """Base class of distributions of fibre directions."""
 
     def directions(self) -> tuple[Array, Array]:
-        """Unit vectors (..., n, 3) and weights (..., n) that add up to 1."""
+        """Return n fibre directions, unit vectors (..., n, 3), and their quadrature weights (..., n), which add up to 1."""
         raise NotImplementedError
 
     def finer(self, factor: int) -> Orientation:
-        """The same density at ``factor`` times the directions per turn."""
+        """Return the same density with ``factor`` times as many directions per turn."""
         return self
 
     @property
     def n_directions(self) -> int:
-        """How many directions there are."""
+        """Number of directions."""
         return self.directions()[1].shape[-1]
 
 
@@ -39,34 +39,34 @@ class Single(Orientation):
     Parameters
     ----------
     mean : float or (...) array [rad]
-        Angle about the first axis.
+        Angle from the first axis.
     """
 
     mean: float | Array = param("rad", "theta_0", low=-2.0 * np.pi, high=2.0 * np.pi, default=0.0, typed="deg")
 
     def directions(self) -> tuple[Array, Array]:
-        """One, (..., 1, 3), of weight 1."""
+        """Return one direction (..., 1, 3) with weight 1."""
         mean = jnp.asarray(self.mean, float)[..., None]
         V = jnp.stack([jnp.cos(mean), jnp.sin(mean), jnp.zeros_like(mean)], axis=-1)
         return V, jnp.ones(V.shape[:-1])
 
 
 class VonMises(Orientation):
-    r"""Fibres in the plane of the first two axes.
+    r"""Fibres in the plane of the first two axes, with a von Mises density.
 
     .. math:: \rho(\theta) = \frac{e^{c \cos 2 (\theta - \theta_0)}}{\pi I_0(c)}, \qquad \int_0^\pi \rho \, d\theta = 1
 
-    Source: rho of Guo, Mofrad & Buganza Tepole, Eq. (4), of this form. Equal angles make the trapezoidal rule of a
-    periodic function: what it leaves of a smooth one falls exponentially with their number.
+    Source: the density rho of Guo, Mofrad & Buganza Tepole, Eq. (4), in this form. Equally spaced angles form the trapezoidal
+    rule for a periodic function, whose error falls exponentially with their number if the function is smooth.
 
     Parameters
     ----------
     concentration : float or (...) array [1]
-        c; 0 in all directions alike.
+        c; 0 is isotropic in the plane.
     mean : float or (...) array [rad]
-        Mean direction about the first axis.
+        Angle of the mean direction from the first axis.
     n_angles : int
-        Directions.
+        Number of directions.
     """
 
     concentration: float | Array = param("1", "c", low=0.0, high=500.0)
@@ -74,11 +74,11 @@ class VonMises(Orientation):
     n_angles: int = count("n", low=2, high=4096, default=40)
 
     def finer(self, factor: int) -> VonMises:
-        """With ``factor`` times as many."""
+        """Return the same density with ``factor`` times as many angles."""
         return dataclasses.replace(self, n_angles=factor * self.n_angles)
 
     def directions(self) -> tuple[Array, Array]:
-        """(..., n_angles, 3), (..., n_angles); angles turn with the mean."""
+        """Return directions (..., n_angles, 3) at equal angles from the mean one, and weights (..., n_angles)."""
         angles = jnp.pi * jnp.arange(self.n_angles) / self.n_angles
         c, mean = jnp.asarray(self.concentration, float)[..., None], jnp.asarray(self.mean, float)[..., None]
         weight = jnp.exp(c * (jnp.cos(2.0 * angles) - 1.0))
@@ -88,18 +88,18 @@ class VonMises(Orientation):
 
 
 class Fisher(Orientation):
-    r"""Fibres about an axis in space, by von Mises and Fisher's density made even.
+    r"""Fibres about an axis in space, with a symmetrised von Mises-Fisher density.
 
     .. math:: \rho(V) = \frac{c \cosh(c \, V \cdot a)}{4 \pi \sinh c}
 
     Parameters
     ----------
     concentration : float or (...) array [1]
-        c; 0 in all directions alike.
+        c; 0 is isotropic.
     axis : 3 numbers [1]
-        a, of any length.
+        Axis a, of any length.
     n_heights : int
-        Gauss points along the axis, on half a sphere; twice as many angles about it.
+        Number of Gauss points along the axis of half a sphere; the number of angles about the axis is twice this.
     """
 
     concentration: float | Array = param("1", "c", low=0.0, high=500.0)
@@ -113,11 +113,11 @@ class Fisher(Orientation):
             raise InputError(f"Fisher.axis must be three numbers that are not all 0; got {list(self.axis)}.")
 
     def finer(self, factor: int) -> Fisher:
-        """With ``factor`` times as many."""
+        """Return the same density with ``factor`` times as many points along the axis and about it."""
         return dataclasses.replace(self, n_heights=factor * self.n_heights)
 
     def directions(self) -> tuple[Array, Array]:
-        """(2 n^2, 3), (..., 2 n^2)."""
+        """Return directions (2 n^2, 3) and weights (..., 2 n^2), with n = ``n_heights``."""
         V, area = _half_sphere(_frame(self.axis), self.n_heights)
         c, along = jnp.asarray(self.concentration, float)[..., None], V @ _frame(self.axis)[:, 2]
         weight = area * 0.5 * (jnp.exp(c * (along - 1.0)) + jnp.exp(-c * (along + 1.0)))
@@ -125,19 +125,19 @@ class Fisher(Orientation):
 
 
 class Bingham(Orientation):
-    r"""Fibres in space by Bingham's density, with three planes of symmetry.
+    r"""Fibres in space with a Bingham density, which has three planes of symmetry.
 
     .. math:: \rho(V) \propto e^{c_1 V_1^2 + c_2 V_2^2}
 
-    Components are those along the first two axes of the body. Equal large numbers lay fibres into their plane, one
-    large number lays them along its axis.
+    V_1 and V_2 are the components along the first two axes of the body. Equal large concentrations align the fibres with the
+    plane of these axes; a single large concentration aligns them with its axis.
 
     Parameters
     ----------
     c1, c2 : float or (...) array [1]
         Concentrations.
     n_heights : int
-        Gauss points along the third axis, on half a sphere; twice as many angles about it.
+        Number of Gauss points along the third axis of half a sphere; the number of angles about that axis is twice this.
     """
 
     c1: float | Array = param("1", "c_1", low=-100.0, high=100.0)
@@ -145,11 +145,11 @@ class Bingham(Orientation):
     n_heights: int = count("n", low=2, high=256, default=12)
 
     def finer(self, factor: int) -> Bingham:
-        """With ``factor`` times as many."""
+        """Return the same density with ``factor`` times as many points along the third axis and about it."""
         return dataclasses.replace(self, n_heights=factor * self.n_heights)
 
     def directions(self) -> tuple[Array, Array]:
-        """(2 n^2, 3), (..., 2 n^2)."""
+        """Return directions (2 n^2, 3) and weights (..., 2 n^2), with n = ``n_heights``."""
         V, area = _half_sphere(np.asarray(IDENTITY), self.n_heights)
         c1, c2 = (jnp.asarray(c, float)[..., None] for c in (self.c1, self.c2))
         largest = jnp.maximum(jnp.maximum(c1, c2), 0.0)
@@ -158,14 +158,14 @@ class Bingham(Orientation):
 
 
 def _frame(axis: tuple[float, ...]) -> np.ndarray:
-    """Orthonormal columns, the third along the axis."""
+    """Return a matrix (3, 3) with orthonormal columns, of which the third one is along ``axis``."""
     a = np.asarray(axis, float)
     q, _ = np.linalg.qr(np.column_stack([a, np.eye(3)[np.argsort(np.abs(a))[:2]].T]))
     return np.column_stack([q[:, 1], q[:, 2], a / np.linalg.norm(a)])
 
 
 def _half_sphere(frame: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Directions (2 n^2, 3) of half a sphere about the frame's third column, and their areas."""
+    """Return directions (2 n^2, 3) of half a sphere about the frame's third column, and weights, their shares of its area."""
     x, w = np.polynomial.legendre.leggauss(n)
     height, w = 0.5 * (x + 1.0), 0.5 * w
     angle = np.pi * (np.arange(2 * n) + 0.5) / n

@@ -1,4 +1,4 @@
-"""Tissue that heals, at an instant: matrix and collagen that has been laid down, deformed for good and pulled at by cells."""
+"""Constitutive law of healing tissue: matrix, deposited collagen, permanent deformation and active stress of cells."""
 
 from __future__ import annotations
 
@@ -12,36 +12,36 @@ from .material import EnergyMaterial, State
 
 
 class Scar(EnergyMaterial):
-    r"""Matrix, dispersed collagen fibres and active stress, about a permanent deformation.
+    r"""Matrix, dispersed collagen fibres and active stress, relative to a permanent deformation.
 
     .. math:: \Psi &= J_p \left[ k_0 (I_1 - 3) + \varphi \frac{k_f}{2 k_2} (e^{k_2 \langle E \rangle^2} - 1) \right]
             + J_p T \ln (C : A_0), \qquad E = C_e : A_0 - 1 \\
         \Psi &= J_p \varphi \left[ k_0 (I_1 - 3 - 2 \ln J_e) + \frac{k_v}{2} (J_e - 1)^2
             + \frac{k_f}{2 k_2} (e^{k_2 \langle E \rangle^2} - 1) \right] + J_p T \ln (C : A_0)
 
-    of a sheet, incompressible and free of stress across, and of a solid. :math:`F_e = F F_p^{-1}`, :math:`J_p = \det F_p`; the
-    last term has the stress :math:`S = 2 J_p T A_0 / (C : A_0)`, so that the Cauchy traction T does not depend on stretch.
-    Source: docs/theory/wound.md. Fibres bear no push, which the source does not say; the
-    shear modulus at rest is 2 k_0.
+    The first energy is that of an incompressible sheet in plane stress, the second that of a solid. :math:`F_e = F F_p^{-1}`,
+    :math:`J_p = \det F_p`; the last term has the stress :math:`S = 2 J_p T A_0 / (C : A_0)`, so that the Cauchy traction T does
+    not depend on stretch. Source: docs/theory/wound.md. Fibres carry no compression, which the source does not state; the
+    shear modulus at rest is 2 k_0, for a solid times phi.
 
     Parameters
     ----------
     F_p : (..., 3, 3) array [1]
         Permanent deformation.
     A_0 : (..., 3, 3) array [1]
-        Structure tensor of the fibres, of trace 1; of a sheet in the plane of its first two axes.
+        Structure tensor of the fibres, of trace 1; for a sheet, in the plane of the first two axes.
     k_0 : float or (...) array [kPa]
-        Of the matrix.
+        Stiffness of the matrix.
     k_f, k_2 : float or (...) array [kPa], [1]
-        Of collagen at its healthy density, and how it stiffens.
+        Stiffness of collagen at its healthy density, and exponent of its stiffening.
     k_v : float or (...) array [kPa]
-        Against change of volume; of a solid alone.
+        Bulk stiffness; used only for a solid.
     phi : float or (...) array [1]
-        Collagen over that of healthy tissue.
+        Collagen density relative to healthy tissue.
     tension : float or (...) array [kPa]
-        T.
+        Active tension T of the cells.
     is_sheet : bool
-        Whether the third axis is a sheet's normal; then only the first two rows and columns of F count.
+        Whether the tissue is a sheet with the third axis as its normal; only the first two rows and columns of F are then used.
     """
 
     F_p: Array
@@ -55,7 +55,7 @@ class Scar(EnergyMaterial):
     is_sheet: bool = eqx.field(static=True, default=False)
 
     def energy(self, F: Array, state: State = ()) -> Array:
-        """Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]; grows when the tissue is stretched against the pull."""
+        """Return Psi per reference volume: F (..., 3, 3) [1] -> (...) [kPa]; it increases with stretch, against the tension."""
         J_p = det(self.F_p)
         if self.is_sheet:
             F = _thinned(F, J_p)
@@ -75,22 +75,22 @@ class Scar(EnergyMaterial):
         return J_p * (self.phi * (matrix + bulk) + fibres + pull)
 
     def _stretched(self, F: Array) -> Array:
-        """Mean square of the stretch of fibres, C : A_0."""
+        """Return the mean squared fibre stretch C : A_0, with C = F^T F: (..., 3, 3) -> (...) [1]."""
         return jnp.sum(product(F, self.A_0) * F, axis=(-2, -1))
 
     def volume_at_rest(self, state: State = ()) -> Array:
-        """J_p (...) [1]."""
+        """Return the stress-free volume ratio J_p (...) [1]."""
         return det(self.F_p)
 
     def moduli_at_rest(self, shape: tuple[int, ...] = ()) -> tuple[Array, Array]:
-        """Shear and bulk modulus of matrix and bulk [kPa]; 0 is the bulk modulus of a sheet, which may always thin."""
+        """Return the shear and bulk modulus without fibres [kPa]; the bulk modulus of a sheet is 0, as it is free to thin."""
         part = 1.0 if self.is_sheet else self.phi
         shear, bulk = 2.0 * self.k_0 * part, 0.0 if self.is_sheet else part * (self.k_v + 2.0 * self.k_0 / 3.0)
         return jnp.broadcast_to(shear, shape), jnp.broadcast_to(bulk, shape)
 
 
 def _thinned(F: Array, volume: Array) -> Array:
-    """F of a sheet in its plane, with the thickness that a volume leaves it: (..., 3, 3), (...) -> (..., 3, 3)."""
+    """Return the in-plane part of F, with the thickness stretch that gives the volume ratio ``volume``: F -> (..., 3, 3)."""
     area = F[..., 0, 0] * F[..., 1, 1] - F[..., 0, 1] * F[..., 1, 0]
     none = jnp.zeros_like(area)
     rows = [F[..., 0, 0], F[..., 0, 1], none, F[..., 1, 0], F[..., 1, 1], none, none, none, volume / area]

@@ -1,4 +1,4 @@
-"""Finite viscoelasticity of isotropic laws: Maxwell branches beside the law, a Prony series at small strain."""
+"""Finite viscoelasticity of isotropic laws: Maxwell branches in parallel with the law, a Prony series at small strain."""
 
 from __future__ import annotations
 
@@ -15,31 +15,31 @@ from .material import EnergyMaterial, State
 
 
 class Viscoelastic(EnergyMaterial):
-    r"""An isotropic law and Maxwell branches whose springs are shares of it.
+    r"""An isotropic law in parallel with Maxwell branches whose springs are scaled copies of it.
 
     .. math:: \Psi = \Psi_{law}(F) + \sum_i \beta_i \Psi_{law}(\bar F_e^i), \qquad
         -\tfrac12 \mathcal{L}_v b_e^i \, (b_e^i)^{-1} = \frac{1}{2 \eta_i} \mathrm{dev} \, \tau^i,
         \qquad \eta_i = \beta_i \mu \, t_i
 
-    Source: Guo, Mofrad & Buganza Tepole, Eq. (2), after Reese & Govindjee (1998), with several branches. A spring feels
-    :math:`\bar F_e = J_e^{-1/3} F_e` alone, so the branches have no bulk stress and the dashpot for volume of Eq. (2) has nothing
-    to do. With mu the law's shear modulus at rest, :math:`t_i` is the relaxation time at small strain, where the modulus
+    Source: Guo, Mofrad & Buganza Tepole, Eq. (2), after Reese & Govindjee (1998), with several branches. The springs
+    depend on :math:`\bar F_e = J_e^{-1/3} F_e` only, so the branches have no bulk stress and need no volumetric dashpot as in
+    Eq. (2). With mu the law's shear modulus at rest, :math:`t_i` is the relaxation time at small strain, where the modulus
     relaxes as :math:`1 + \sum \beta_i e^{-t / t_i}`. A step is backward Euler in the logarithms of the principal elastic
-    stretches: stable however long it is, it keeps det F_v = 1, and its tangent is symmetric.
+    stretches: it is stable for any step size, preserves det F_v = 1 and has a symmetric tangent.
 
     Parameters
     ----------
     law : EnergyMaterial
-        Isotropic, free of stress at rest, and without history.
+        Isotropic law without history that is stress-free at rest.
     beta : n floats or (...) arrays [1]
-        Stiffness of the branches over that of the law.
+        Stiffness of the branches relative to that of the law.
     relaxation : n floats or (...) arrays [s]
-        Their relaxation times.
+        Relaxation times of the branches.
 
     Raises
     ------
     InputError
-        If there is no branch, or not as many of the one as of the other.
+        If there is no branch, or the numbers of ``beta`` and ``relaxation`` differ.
     """
 
     law: EnergyMaterial
@@ -49,28 +49,31 @@ class Viscoelastic(EnergyMaterial):
     def __check_init__(self):
         super().__check_init__()
         if not self.beta:
-            raise InputError("Viscoelastic.beta is empty: give one branch at least.")
+            raise InputError("Viscoelastic.beta is empty: give at least one branch.")
         if len(self.beta) != len(self.relaxation):
             raise InputError(
                 f"Viscoelastic.relaxation must have one time per branch: {len(self.beta)}; got {len(self.relaxation)}."
             )
 
     def energy(self, F: Array, state: State = ()) -> Array:
-        """Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
+        """Return Psi at points: F (..., 3, 3) [1] -> (...) [kPa]."""
         back = self.initial_state(()) if isinstance(state, tuple) else state
         springs = jax.vmap(lambda back, beta: beta * _spring(self.law, product(F, back)), in_axes=(-3, 0))
         return self.law.energy(F) + springs(back, self._branches(self.beta)).sum(axis=0)
 
     def volume_at_rest(self, state: State = ()) -> Array:
-        """That of the law."""
+        """Return the stress-free volume ratio of the law."""
         return self.law.volume_at_rest()
 
     def initial_state(self, shape: tuple[int, ...]) -> State:
-        """Inverse of each branch's viscous deformation (*shape, n, 3, 3)."""
+        """Return the inverse viscous deformation of each branch, the identity (*shape, n, 3, 3)."""
         return jnp.broadcast_to(IDENTITY, (*shape, len(self.beta), 3, 3))
 
     def advance(self, F: Array, state: State, dt: float) -> State:
-        """Let the dashpots flow for dt [s]; each along the principal axes of its elastic deformation."""
+        """Return the inverse viscous deformations after a step dt [s] that ends at F (..., 3, 3) [1].
+
+        Each branch flows along the principal axes of its elastic deformation.
+        """
         mu = _shear_modulus(self.law, F.shape[:-2])
 
         def flowed(back: Array, relaxation: Array) -> Array:
@@ -80,7 +83,7 @@ class Viscoelastic(EnergyMaterial):
         return jax.vmap(flowed, in_axes=(-3, 0), out_axes=-3)(state, self._branches(self.relaxation))
 
     def dissipated(self, F: Array, before: State, after: State, dt: float) -> Array:
-        """Sum of dt |dev tau|^2 / (2 eta), tau as at the end of the step."""
+        """Return the sum of dt |dev tau|^2 / (2 eta) over the branches, with tau at the end of the step."""
         mu = _shear_modulus(self.law, F.shape[:-2])
 
         def lost(back: Array, beta: Array, relaxation: Array) -> Array:
@@ -94,7 +97,7 @@ class Viscoelastic(EnergyMaterial):
 
     @staticmethod
     def _branches(values: tuple[float | Array, ...]) -> Array:
-        """One number, or one array of points, for each branch (n, ...)."""
+        """Stack the values of n branches, each a number or an array over points, along a new first axis (n, ...)."""
         return jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(value, float) for value in values)))
 
 
@@ -103,16 +106,17 @@ def _spring(law: EnergyMaterial, F_e: Array) -> Array:
 
 
 def _shear_modulus(law: EnergyMaterial, shape: tuple[int, ...]) -> Array:
-    """At rest (...) [kPa]; one number where the law's parameters are the same at all points; 1 where nothing resists."""
+    """Return the shear modulus at rest (...) [kPa], a single number if it is the same at all points; 1 where it would be 0."""
     is_uniform = all(jnp.ndim(leaf) == 0 for leaf in jax.tree.leaves(law))
     mu = law.moduli_at_rest(() if is_uniform else shape)[0]
     return jnp.where(mu > 0.0, mu, 1.0)
 
 
 def _flow(c: Array, law: EnergyMaterial, mu: Array, steps: Array) -> Array:
-    r"""What the dashpot takes of the principal stretches: :math:`e^{\epsilon - \epsilon_{trial}}` (..., 3).
+    r"""Return the factors :math:`e^{\epsilon - \epsilon_{trial}}` (..., 3) of the principal stretches due to viscous flow.
 
-    c (..., 3) are those of the trial state's :math:`C_e`, mu (...) [kPa] is the shear modulus at rest, ``steps`` = dt / t_r, and
+    c (..., 3) are the eigenvalues of the trial state's :math:`C_e`, mu (...) [kPa] the shear modulus at rest and
+    ``steps`` is dt / t_r; :math:`\epsilon` solves
     :math:`\epsilon + \frac{dt}{2 \mu t_r} \, \partial\Psi/\partial\epsilon = \epsilon_{trial}`.
     """
     trial = 0.5 * jnp.log(c)

@@ -1,4 +1,4 @@
-"""A body between rigid plates that push without friction and never pull: nodes that touch are an active set."""
+"""Frictionless unilateral contact of a body with rigid plates, solved by an active-set method."""
 
 from __future__ import annotations
 
@@ -12,77 +12,78 @@ from ..core.errors import ConvergenceError, InputError
 from ..numerics.linear import Engine, LinearSolver
 from ..numerics.newton import NewtonReport, ramp
 from .body import Body
-from .held import Held
+from .contact_projection import ContactProjection
 
-FIRST, SMALLEST = 1 / 32, 1 / 2048  # share of the plates' way that is tried at once, and below which it is given up
-MOST_ITERATIONS = 60  # of Newton's method in one such step
-EAGER = 10  # iterations in which all of them do; after these the first alone does, once forces balance to BALANCED
-BALANCED = 1e-6
-NEAR, NEARBY = 0.1, 1e-3  # of the forces, of the body's extent: what a patient solve takes for near
-MOST_IN_ALL = 1000
-WILD = 30.0  # a residual that grew so much does not come back
-CLOSE = 1e-5  # how exactly a linear system is solved, relative to its right-hand side
-ON_PLATE = 1e-7  # of the body's extent: how near a node is to a plate that it touches
-PULL = 1e-5  # of the largest force of a plate on a node: what counts as none
-ROUNDING = 1e-13  # of the forces that would move nodes by the body's extent
+FIRST_STEP, SMALLEST_STEP = 1 / 32, 1 / 2048  # first and smallest load step, as fractions of the plates' displacement
+MAX_ITERATIONS = 60  # Newton iterations in one load step
+# iterations in which all contacts may change at once; later one at a time, when forces balance to BALANCE_TOLERANCE
+FULL_UPDATE_ITERATIONS = 10
+BALANCE_TOLERANCE = 1e-6  # relative residual below which forces count as balanced
+# with an initial shape: relative residual, and gap relative to body size, that count as small
+NEAR_RESIDUAL, NEAR_GAP = 0.1, 1e-3
+MAX_TOTAL_ITERATIONS = 1000  # Newton iterations in all steps
+DIVERGENCE_FACTOR = 30.0  # growth of the residual that counts as divergence
+LINEAR_TOLERANCE = 1e-5  # relative tolerance of the linear solves
+PENETRATION_TOLERANCE = 1e-7  # penetration at which a node comes into contact, relative to body size
+TENSION_TOLERANCE = 1e-5  # largest tension that is ignored, relative to the largest nodal contact force
+ROUNDING = 1e-13  # round-off of the residual, relative to the diagonal stiffness times body size
 
 
 @dataclass(frozen=True, eq=False)
 class Plate:
-    """A rigid half-space.
+    """A rigid half-space that is displaced during loading.
 
     Parameters
     ----------
     point : (3,) array [mm]
-        On its face.
+        Point on its face.
     normal : (3,) array [1]
-        Out of it, where the body is, of length 1.
-    way : (3,) array [mm]
-        How far it moves.
+        Unit normal of the face, towards the body.
+    displacement : (3,) array [mm]
+        Displacement of the plate.
     """
 
     point: np.ndarray
     normal: np.ndarray
-    way: np.ndarray
+    displacement: np.ndarray
 
     def at(self, share: float) -> Plate:
-        """Where it is after a share of its way."""
-        return replace(self, point=self.point + share * np.asarray(self.way), way=np.zeros(3))
+        """Return the plate at the position after a fraction ``share`` of its displacement."""
+        return replace(self, point=self.point + share * np.asarray(self.displacement), displacement=np.zeros(3))
 
     def gap(self, x: np.ndarray) -> np.ndarray:
-        """Distance of points (n, 3) [mm] from its face, negative in the plate (n,) [mm]."""
+        """Return the signed distance (n,) [mm] of points (n, 3) [mm] from the plate's face, negative inside the plate."""
         return (x - self.point) @ self.normal
 
 
 @dataclass(frozen=True, eq=False)
-class Pressed:
-    """A body in equilibrium between plates."""
+class ContactSolution:
+    """Shape and contact forces of a body in equilibrium between plates."""
 
     x: np.ndarray
     """Positions (n_nodes, 3) [mm]."""
-    push: np.ndarray
-    """Force of each plate on each node along the plate's normal (n_plates, n_nodes) [mN]; 0 where they do not touch."""
+    contact_forces: np.ndarray
+    """Force of each plate on each node along the plate's normal (n_plates, n_nodes) [mN]; 0 without contact."""
     report: NewtonReport
 
 
 class Contact:
-    """Solver for bodies on one frame between plates; it keeps a factor from step to step.
+    """Solver for contact between plates and bodies with one discretisation; it reuses a factorised matrix from step to step.
 
-    A node touches a plate or does not. What is known of this is wrong at first; after each step of Newton's method nodes
-    that the plate would have to pull are released, and those that went into it are put onto it (the primal-dual active
-    set, a semismooth Newton method: Hintermueller, Ito & Kunisch 2002), until nothing changes and forces balance. Its nodes
-    carry what a plate and the body exert on each other, so the pressure between them is known to the size of a face;
-    corners of quadratic faces carry nothing of an even pressure. Whether what is found is stable is not checked: a straight
-    column stays straight beyond the load at which it would buckle.
+    Each node is either in contact with a plate or not. After each Newton step, nodes under tension are released from a plate
+    and nodes that penetrate it are brought into contact, until the active set no longer changes and forces balance
+    (primal-dual active set, a semismooth Newton method: Hintermueller, Ito & Kunisch 2002). Contact forces act at
+    nodes, so the contact pressure is resolved to the size of a face only; under a uniform pressure the corners of quadratic
+    faces carry no force. Stability is not checked: a straight column stays straight above its buckling load.
 
     Parameters
     ----------
     relative_tolerance : float
-        Bound on the residual over weight and forces of the plates (Euclidean norms) [1].
+        Bound on the residual relative to the weight and the plates' forces (Euclidean norms) [1].
     tell : callable, optional
-        Hears a few words on each iteration.
+        Called with a progress message at each iteration.
     on : Engine, optional
-        What the linear systems are solved on.
+        Back end of the linear solver.
     """
 
     def __init__(
@@ -96,59 +97,59 @@ class Contact:
 
     @property
     def factorizations(self) -> int:
-        """Matrices factorised so far."""
+        """Number of matrices factorised so far."""
         return self._linear.n_factorizations
 
-    def pressed(
+    def solve(
         self,
         body: Body,
         X: np.ndarray,
         gravity: np.ndarray,
         plates: Sequence[Plate],
         start: np.ndarray | None = None,
-    ) -> Pressed:
-        """Move plates all their way into a body, gravity growing with it.
+    ) -> ContactSolution:
+        """Solve for equilibrium after the plates have moved by their full displacement, with gravity increased in proportion.
 
         Parameters
         ----------
         body : Body
-            Tissue and skin, without pressure; fixed and sliding nodes of its frame stay held. What is left to the plates to
-            hold they must hold from the first step on.
+            Tissue and skin, without pressure; its fixed and sliding nodes keep their constraints. Rigid motions that
+            these allow must be prevented by the plates from the first step on.
         X : (n_nodes, 3) array [mm]
             Unloaded positions.
         gravity : (3,) array [mm/s^2]
-            In the end.
+            Final acceleration.
         plates : sequence of Plate
-            Where they are at first. No two may be parallel at one node.
+            Plates in their initial positions. No node may touch two parallel plates.
         start : (n_nodes, 3) array [mm], optional
-            A shape near the last one; tried at once with all loads, nodes that are nearly on a plate touching.
+            A shape near the solution. The full load is then applied at once, with nodes close to a plate in contact initially.
 
         Raises
         ------
         InputError
-            Where pressure acts, or ranks share the body.
+            If pressure acts on the body, or ranks share it.
         ConvergenceError
-            With everything that was tried.
+            If no equilibrium is found, with the history of all attempts.
         """
-        if body.pressure is not None or body.frame.ranks.size > 1:
-            raise InputError("plates press bodies in one process that bear no pressure")
+        if body.pressure is not None or body.discretization.ranks.size > 1:
+            raise InputError("contact with plates requires a body without pressure loads, in a single process")
         report = NewtonReport(tell=self.tell)
-        way = _Way(self, body, X, gravity, plates, report)
+        path = _LoadPath(self, body, X, gravity, plates, report)
         if start is None:
-            return way.result(ramp(way.advance, X, report, SMALLEST, FIRST, MOST_IN_ALL))
-        way.touching = np.stack([p.at(1.0).gap(start) < NEARBY * np.ptp(X, axis=0).max() for p in plates])
-        return way.result(way.advance(start, 1.0, patient=True))
+            return path.result(ramp(path.advance, X, report, SMALLEST_STEP, FIRST_STEP, MAX_TOTAL_ITERATIONS))
+        path.in_contact = np.stack([p.at(1.0).gap(start) < NEAR_GAP * np.ptp(X, axis=0).max() for p in plates])
+        return path.result(path.advance(start, 1.0, patient=True))
 
     def step(self, matrix: sp.bsr_array, rhs: np.ndarray) -> np.ndarray:
-        """Solve one linear system: (n,) -> (n,)."""
+        """Solve one linear system; a singular matrix raises ConvergenceError: (n,) -> (n,)."""
         try:
-            return self._linear.solve(matrix, rhs, CLOSE)
+            return self._linear.solve(matrix, rhs, LINEAR_TOLERANCE)
         except FloatingPointError as error:
             raise ConvergenceError(str(error), [f"singular tangent ({error})"]) from error
 
 
-class _Way:
-    """From the unloaded shape to the pressed one; remembers who touches."""
+class _LoadPath:
+    """Sequence of load steps from the unloaded to the compressed shape, with the nodes in contact after the last step."""
 
     def __init__(
         self,
@@ -161,98 +162,116 @@ class _Way:
     ) -> None:
         self.solver, self.body, self.X, self.gravity, self.report = solver, body, X, gravity, report
         self.plates = list(plates)
-        self.touching = np.zeros((len(self.plates), len(X)), bool)
-        self.push = np.zeros(self.touching.shape)
+        self.in_contact = np.zeros((len(self.plates), len(X)), bool)
+        self.contact_forces = np.zeros(self.in_contact.shape)
         self._weight = float(np.linalg.norm(body.lumped_mass(X)) * np.linalg.norm(gravity))
         self._rounding = 0.0
-        self._reach = ON_PLATE * float(np.ptp(X, axis=0).max())
+        self._reach = PENETRATION_TOLERANCE * float(np.ptp(X, axis=0).max())
 
-    def result(self, x: np.ndarray) -> Pressed:
-        """What is told of the last shape."""
-        return Pressed(x, self.push, self.report)
+    def result(self, x: np.ndarray) -> ContactSolution:
+        """Return the solution with positions x, the last contact forces and the report."""
+        return ContactSolution(x, self.contact_forces, self.report)
 
     def advance(self, x: np.ndarray, share: float, patient: bool = False) -> np.ndarray:
-        """Equilibrium after a share of the way, from a shape x before; ``patient``: nobody comes or goes far from balance."""
+        """Solve for equilibrium at a fraction ``share`` of the load, from positions x; return positions (n_nodes, 3) [mm].
+
+        If ``patient``, nodes enter or leave contact only once the forces nearly balance.
+        """
         plates, gravity = [plate.at(share) for plate in self.plates], share * self.gravity
-        touching = self.touching | self._beyond(plates, x)
-        state = _State(x, self.body.starting_dilation(self.X, x))
+        in_contact = self.in_contact | self._penetrating(plates, x)
+        state = _State(x, self.body.initial_volume_ratio(self.X, x))
         r, first = self.body.residual(self.X, x, gravity, state.J_bar), np.inf
-        for number in range(MOST_ITERATIONS):
-            held = Held(self.body.frame, np.array([p.normal for p in plates], float), touching)
+        for number in range(MAX_ITERATIONS):
+            projection = ContactProjection(
+                self.body.discretization, np.array([p.normal for p in plates], float), in_contact
+            )
             state, expected = self._newton(
-                state, r, held, held.way([-p.gap(state.x) for p in plates], self.X - state.x)
+                state,
+                r,
+                projection,
+                projection.constrained_displacement([-p.gap(state.x) for p in plates], self.X - state.x),
             )
             r = self.body.residual(self.X, state.x, gravity, state.J_bar)
-            push = held.push(r)
-            norm, scale = float(np.linalg.norm(held.free_part(r))), float(np.hypot(self._weight, np.linalg.norm(push)))
+            forces = projection.contact_forces(r)
+            norm, scale = (
+                float(np.linalg.norm(projection.free_part(r))),
+                float(np.hypot(self._weight, np.linalg.norm(forces))),
+            )
             tolerance = self.solver.relative_tolerance * scale + self._rounding
-            changes = self._changes(plates, state.x, touching, expected)
+            changes = self._changes(plates, state.x, in_contact, expected)
             changed = int(np.count_nonzero(changes))
-            if number < EAGER and not patient:
-                touching = touching ^ changes
-            elif patient and number < 2 * EAGER:
-                touching = touching ^ changes if norm < NEAR * scale else touching
-            elif norm < BALANCED * scale:
-                touching = touching ^ _first(changes)
-            self._count(norm, changed, touching)
+            if number < FULL_UPDATE_ITERATIONS and not patient:
+                in_contact = in_contact ^ changes
+            elif patient and number < 2 * FULL_UPDATE_ITERATIONS:
+                in_contact = in_contact ^ changes if norm < NEAR_RESIDUAL * scale else in_contact
+            elif norm < BALANCE_TOLERANCE * scale:
+                in_contact = in_contact ^ _first(changes)
+            self._count(norm, changed, in_contact)
             first = max(norm, scale, tolerance) if number == 0 else first
-            if not norm < WILD * first:
+            if not norm < DIVERGENCE_FACTOR * first:
                 break
             if not changed and norm <= tolerance and self._is_tied(state):
-                self._accept(state.x, touching, push)
+                self._accept(state.x, in_contact, forces)
                 return state.x
-        line = f"no balance after {number + 1} iterations, residual {norm:.1e} mN, {changed} nodes came or went in the last"
-        raise ConvergenceError("Newton's method between plates did not converge.", [line])
+        line = f"no equilibrium after {number + 1} iterations, residual {norm:.1e} mN, {changed} contact changes in the last"
+        raise ConvergenceError("Newton's method for contact with plates did not converge.", [line])
 
-    def _newton(self, state: _State, r: np.ndarray, held: Held, way: np.ndarray) -> tuple[_State, np.ndarray]:
-        """One step from a state with the residual r (n_nodes, 3), held nodes going their way (n_nodes, 3) [mm].
+    def _newton(
+        self, state: _State, r: np.ndarray, projection: ContactProjection, displacement: np.ndarray
+    ) -> tuple[_State, np.ndarray]:
+        """Take one Newton step, given the residual r (n_nodes, 3) and the ``displacement`` of constrained nodes [mm].
 
-        Returns the next state, and to first order what plates push there (n_plates, n_nodes) [mN].
+        Return the next state, and its contact forces to first order (n_plates, n_nodes) [mN].
         """
         body = self.body
-        gap = body.dilation(self.X, state.x) - state.J_bar
+        gap = body.volume_ratio(self.X, state.x) - state.J_bar
         matrix, rates = body.linearised(self.X, state.x, state.J_bar, in_plane=False)
-        self._rounding = ROUNDING / ON_PLATE * self._reach * float(np.linalg.norm(matrix.diagonal()))
-        pull = r + body.volume_force(rates, gap)
-        rhs = held.on_free(pull) + matrix @ held.on_free(way)
-        followed = self.solver.step(held.matrix(matrix), -held.project(rhs))
-        expected = held.push(held.from_free(rhs + matrix @ followed))
-        du = held.from_free(followed) + way
+        self._rounding = ROUNDING / PENETRATION_TOLERANCE * self._reach * float(np.linalg.norm(matrix.diagonal()))
+        condensed_residual = r + body.volume_force(rates, gap)
+        rhs = projection.on_free(condensed_residual) + matrix @ projection.on_free(displacement)
+        followed = self.solver.step(projection.matrix(matrix), -projection.project(rhs))
+        expected = projection.contact_forces(projection.from_free(rhs + matrix @ followed))
+        du = projection.from_free(followed) + displacement
         return _State(state.x + du, state.J_bar + gap + body.volume_change(rates, du)), expected
 
-    def _beyond(self, plates: list[Plate], x: np.ndarray) -> np.ndarray:
+    def _penetrating(self, plates: list[Plate], x: np.ndarray) -> np.ndarray:
         return np.stack([(p.gap(x) < -self._reach) & self.body.active_nodes for p in plates])
 
-    def _changes(self, plates: list[Plate], x: np.ndarray, touching: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """Who comes and goes (n_plates, n_nodes) after a step: nodes that are in a plate, and those that are pulled."""
-        return (touching & (push < -PULL * push.max(initial=0.0))) | (self._beyond(plates, x) & ~touching)
+    def _changes(self, plates: list[Plate], x: np.ndarray, in_contact: np.ndarray, forces: np.ndarray) -> np.ndarray:
+        """Return where contact begins by penetration or ends by tension, after a Newton step (n_plates, n_nodes) bool."""
+        return (in_contact & (forces < -TENSION_TOLERANCE * forces.max(initial=0.0))) | (
+            self._penetrating(plates, x) & ~in_contact
+        )
 
     def _is_tied(self, state: _State) -> bool:
-        """Whether the volume ratios are those of the shape."""
-        return bool(np.abs(self.body.dilation(self.X, state.x) - state.J_bar).max() < 1e-8)
+        """True if J_bar has converged to the volume ratio of the current positions (difference below 1e-8)."""
+        return bool(np.abs(self.body.volume_ratio(self.X, state.x) - state.J_bar).max() < 1e-8)
 
-    def _count(self, norm: float, changed: int, touching: np.ndarray) -> None:
+    def _count(self, norm: float, changed: int, in_contact: np.ndarray) -> None:
         self.report.count(norm)
         if self.solver.tell is not None:
-            self.solver.tell(f"{np.count_nonzero(touching)} nodes touch, {changed} came or went")
+            self.solver.tell(f"{np.count_nonzero(in_contact)} nodes in contact, {changed} changed")
 
-    def _accept(self, x: np.ndarray, touching: np.ndarray, push: np.ndarray) -> None:
-        turned = self.body.inside_out(self.X, x)
+    def _accept(self, x: np.ndarray, in_contact: np.ndarray, forces: np.ndarray) -> None:
+        turned = self.body.inverted_elements(self.X, x)
         if len(turned):
-            raise ConvergenceError("Elements turn inside out.", [f"{len(turned)} elements inside out"])
-        self.touching, self.push = touching, push
+            raise ConvergenceError("Elements are inverted.", [f"{len(turned)} inverted elements"])
+        self.in_contact, self.contact_forces = in_contact, forces
 
 
 @dataclass(frozen=True, eq=False)
 class _State:
-    """Positions (n_nodes, 3) [mm] and volume ratios (n_elements, n_qp) [1], which are free of them until the end."""
+    """Positions (n_nodes, 3) [mm] and volume ratios J_bar (n_elements, n_qp) [1], separate unknowns of Newton's method."""
 
     x: np.ndarray
     J_bar: np.ndarray
 
 
 def _first(changes: np.ndarray) -> np.ndarray:
-    """The first alone; in a linear body one at a time never goes in circles (Murty 1974), many at once may."""
+    """Return the first of the contact changes alone (n_plates, n_nodes) bool.
+
+    For linear bodies single changes never cycle (Murty 1974), unlike many changes at once.
+    """
     out = np.zeros_like(changes)
     out.flat[np.argmax(changes)] = changes.any()
     return out

@@ -1,4 +1,4 @@
-"""One body, several ranks: to each its elements, and the rows of its nodes."""
+"""Distribution of the elements of a body, and of the matrix rows of its nodes, over MPI ranks."""
 
 from __future__ import annotations
 
@@ -10,45 +10,55 @@ import numpy as np
 from ..core.errors import InvariantError
 from ..core.ranks import Ranks
 from ..numerics.krylov import Layout
-from .body import Body, Frame
+from .body import Body, Discretization
 from .space import SolidSpace
 
 
 def shared(body: Body, ranks: Ranks) -> Body:
-    """Take this rank's part of a body: its own elements and all nodes; sums over elements are those over all ranks.
+    """Return the part of a body that this rank computes, with some of the elements and all nodes.
 
-    Nodal vectors are whole on every rank and bit by bit alike, so that all take the same decisions.
+    Sums over elements include those of all ranks. Nodal vectors are complete and bitwise identical on every rank, so that
+    all ranks take the same decisions.
 
     Parameters
     ----------
     body : Body
-        A solid without skin, pressure and sliding nodes, whole and the same on every rank.
+        A solid without skin, pressure and sliding nodes, complete and identical on every rank.
     ranks : Ranks
-        Who shares it.
+        Ranks that share the body.
     """
-    frame = body.frame
-    if not isinstance(frame.space, SolidSpace) or frame.skin_facets.size or frame.sliding_nodes.size:
-        raise InvariantError("ranks share bodies of tetrahedra without skin, pressure and sliding nodes only")
-    n, cells = frame.space.n_elements, frame.space.element_nodes
-    mine = bisected(frame.space.positions[cells].mean(axis=1), ranks.size) == ranks.rank
-    part = Frame(replace(frame.space, element_nodes=cells[mine]), frame.skin_facets, frame.fixed_nodes, ranks=ranks)
+    discretization = body.discretization
+    if (
+        not isinstance(discretization.space, SolidSpace)
+        or discretization.skin_facets.size
+        or discretization.sliding_nodes.size
+    ):
+        raise InvariantError("ranks can share only bodies of tetrahedra without skin, pressure and sliding nodes")
+    n, cells = discretization.space.n_elements, discretization.space.element_nodes
+    mine = bisected(discretization.space.positions[cells].mean(axis=1), ranks.size) == ranks.rank
+    part = Discretization(
+        replace(discretization.space, element_nodes=cells[mine]),
+        discretization.skin_facets,
+        discretization.fixed_nodes,
+        ranks=ranks,
+    )
     law = jax.tree.map(lambda leaf: leaf[mine] if np.ndim(leaf) and len(leaf) == n else leaf, body.law)
-    return replace(body, frame=part, law=law, density=body.density[mine], fraction=body.fraction[mine])
+    return replace(body, discretization=part, law=law, density=body.density[mine], fraction=body.fraction[mine])
 
 
-def layout_of(frame: Frame) -> Layout:
-    """Rows of the free nodes of a shared solid: a node is of the first rank that has an element at it."""
-    n, ranks = frame.space.n_nodes, frame.ranks
+def layout_of(discretization: Discretization) -> Layout:
+    """Assign the matrix rows of each free node of a shared solid to the first rank that has an element with this node."""
+    n, ranks = discretization.space.n_nodes, discretization.ranks
     touched = np.zeros(n, np.uint8)
-    touched[frame.space.element_nodes] = 1
+    touched[discretization.space.element_nodes] = 1
     by_rank = np.array([np.frombuffer(part, np.uint8) for part in ranks.gather(touched.tobytes())])
-    dofs, _ = frame.solved(False)
+    dofs, _ = discretization.solved(False)
     nodes = dofs.reshape(-1, 3)[:, 0] // 3
-    return Layout(ranks, by_rank.argmax(axis=0)[nodes], frame.space.positions[nodes])
+    return Layout(ranks, by_rank.argmax(axis=0)[nodes], discretization.space.positions[nodes])
 
 
 def bisected(centres: np.ndarray, n_parts: int) -> np.ndarray:
-    """Cut points (n, 3) [mm] into parts of equal size, across the longest side each time: number of each one's part (n,)."""
+    """Divide points (n, 3) [mm] into equal parts by recursive bisection along the longest side; return part numbers (n,)."""
     part = np.zeros(len(centres), int)
     if n_parts == 1:
         return part

@@ -1,8 +1,8 @@
-"""Batched element forces; their tangents are derivatives of the same functions, never written twice.
+"""Batched element forces, energies and tangents.
 
 A section is one slice of a body that is uniform along its normal: positions are x(s, t) + z e3 with three components
 each, so deformation gradients are 3 x 3 and gravity may have a component along the normal (antiplane shear). With no
-such component this is plane strain. What is "per depth" for a section is the whole for a solid: read mN for mN/mm, mm^3
+such component this is plane strain. Quantities "per depth" of a section are totals for a solid: read mN for mN/mm, mm^3
 for mm^2.
 """
 
@@ -15,7 +15,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-from ..materials.material import EnergyMaterial
+from ..materials.material import Material
 from ..numerics.tensors import cofactor, det, inv, product
 from .space import Table
 
@@ -23,31 +23,35 @@ NORMAL = np.array([0.0, 0.0, 1.0])
 
 
 class Bulk(NamedTuple):
-    """What fills the elements; leaves broadcast against (n_elements, n_qp)."""
+    """Material of the elements: law, density and volume fraction of the tissue, per element or quadrature point."""
 
-    law: EnergyMaterial
-    density: Array
+    law: Material
+    density: Array | np.ndarray
     """Mass per reference volume (n_elements, n_qp) [kg/mm^3]."""
-    fraction: Array
-    """Share of each element that is tissue (n_elements,) [1]."""
-    kept: Array
-    """Share of the volume ratio's fluctuation within each element that its projection keeps (n_elements,) [1]."""
+    fraction: Array | np.ndarray
+    """Fraction of each element that is tissue (n_elements,) [1]."""
+    fluctuation_fraction: Array | np.ndarray
+    """Fraction of the fluctuation of det F in each element that J_bar retains (n_elements,) [1]."""
 
 
 class Membrane(NamedTuple):
-    """Skin: an incompressible membrane along boundary edges of a section, on boundary faces of a solid; pressure on these."""
+    """Skin, an incompressible membrane on boundary edges (section) or faces (solid), and the pressure on these faces."""
 
-    law: EnergyMaterial
-    thickness: Array
+    law: Material
+    thickness: Array | np.ndarray
     """Reference thickness (n_facets,) [mm]."""
-    wrinkling_strain: Array
-    """Shortening at which it wrinkles [1]."""
-    pressure: Array | float = 0.0
-    """On a solid's faces from outside, along the normal that they have now (n_facets,) [kPa]."""
+    wrinkling_strain: Array | float
+    """Compressive strain at which the skin wrinkles [1]."""
+    pressure: Array | np.ndarray | float = 0.0
+    """External pressure on a solid's faces, along their current normal (n_facets,) [kPa]."""
 
 
 def local_map(x: Array, gradient: np.ndarray) -> Array:
-    """Derivative of position by the local axes, and a section's normal: x (n, n_shape, 3) -> (n, n_qp, 3, 3) [mm]."""
+    """Return the derivative of position with respect to local coordinates: x (n, n_shape, 3) -> (n, n_qp, 3, 3) [mm].
+
+    ``gradient`` are the derivatives of the shape functions (:class:`.space.Table`). In a section, the third column of the
+    result is the unit normal of the section.
+    """
     columns = jnp.einsum("eai,qab->eqib", x, gradient)
     if columns.shape[-1] == 3:
         return columns
@@ -56,108 +60,112 @@ def local_map(x: Array, gradient: np.ndarray) -> Array:
 
 
 def deformation_gradient(X: Array, x: Array, gradient: np.ndarray) -> Array:
-    """F = dx/dX at quadrature points: X, x (n, n_shape, 3) [mm] -> (n, n_qp, 3, 3) [1]."""
+    """Return F = dx/dX at quadrature points: X, x (n, n_shape, 3) [mm] -> (n, n_qp, 3, 3) [1]."""
     return product(local_map(x, gradient), inv(local_map(X, gradient)))
 
 
 def projection(basis: np.ndarray, weights: Array) -> Array:
-    """L2 projection on a few functions of each element, quadrature points to quadrature points.
+    """Return the matrix of the L2 projection on a few basis functions in each element.
 
-    basis (n_qp, 1 or 3), weights (n, n_qp) -> (n, n_qp, n_qp).
+    The matrix acts on values at the quadrature points: basis (n_qp, 1 or 3), weights (n, n_qp) -> (n, n_qp, n_qp).
     """
     mass = jnp.einsum("eq,qi,qj->eij", weights, basis, basis)
     inverse = 1.0 / mass if basis.shape[1] == 1 else inv(mass)
     return jnp.einsum("qi,eij,rj,er->eqr", basis, inverse, basis, weights)
 
 
-# bulk over shear modulus, Poisson ratio 0.499: up to there four points of a P2 tetrahedron do not lock
-STIFFEST = 500.0
+# bulk over shear modulus at a Poisson ratio of 0.499, up to which a P2 tetrahedron with four points does not lock
+LOCKING_RATIO = 500.0
 
 
-def kept_share(law: EnergyMaterial, shape: tuple[int, ...]) -> Array:
-    r"""Share of the fluctuation of a solid's volume ratio that is kept, at points of a shape [1].
+def fluctuation_fraction(law: Material, shape: tuple[int, ...]) -> Array:
+    r"""Return the fraction of the fluctuation of det F in an element that J_bar retains in a solid (*shape) [1].
 
-    :math:`\min(1, \sqrt{500 \mu / \kappa})`, with the moduli at rest.
+    At points with the leading shape ``shape`` it is :math:`\min(1, \sqrt{500 \mu / \kappa})`, with the moduli in the
+    stress-free state.
 
-    A P2 tetrahedron with four points checks the volume four times, about as often as it has degrees of freedom of its own:
-    beyond a Poisson ratio of 0.499 it begins to lock. There the bulk modulus acts in full on the mean volume ratio of an element,
-    and on the fluctuation about it as it would at 0.499 (the square of this share times itself), which leaves room for the
-    gradient of the pressure. docs/decisions/0013 has the measured errors.
+    A P2 tetrahedron with four quadrature points has four volume constraints, about as many as it has degrees of freedom of its
+    own, so it begins to lock beyond a Poisson ratio of 0.499. There the bulk modulus acts in full on the mean volume ratio of an
+    element, and on the fluctuation as it would at 0.499 (reduced by the square of this fraction), so that the
+    pressure can still vary within an element. Measured errors: docs/decisions/0013.
     """
     shear, bulk = law.moduli_at_rest(shape)
-    return jnp.sqrt(jnp.clip(STIFFEST * shear / bulk, 0.0, 1.0))
+    return jnp.sqrt(jnp.clip(LOCKING_RATIO * shear / bulk, 0.0, 1.0))
 
 
-def dilated(F: Array, J_bar: Array) -> Array:
-    """F with its volume ratio replaced: (J_bar / J)^(1/3) F, (..., 3, 3) -> (..., 3, 3) [1]."""
+def with_volume_ratio(F: Array, J_bar: Array) -> Array:
+    """Return F with its volume ratio replaced by J_bar: (J_bar / J)^(1/3) F, (..., 3, 3) -> (..., 3, 3) [1]."""
     return jnp.cbrt(J_bar / det(F))[..., None, None] * F
 
 
 class Smoothing(NamedTuple):
-    """What makes one volume ratio, or one pressure, of the values at an element's quadrature points; its own adjoint."""
+    """Operator that smooths volume ratio or pressure within each element; self-adjoint in the L2 inner product."""
 
     onto: Array
-    """L2 projection (n, n_qp, n_qp) [1]."""
-    kept: Array
-    """Share of what the projection takes away that is left (n_elements,) [1]."""
+    """Matrix of the L2 projection in each element (n, n_qp, n_qp) [1]."""
+    fluctuation_fraction: Array
+    """Fraction of the fluctuation about the projection that is retained (n_elements,) [1]."""
 
     def projected(self, values: Array) -> Array:
-        """(n, n_qp, ...) -> (n, n_qp, ...), all fluctuation taken away."""
+        """Return the L2 projection of values at quadrature points, without fluctuation: (n, n_qp, ...) -> (n, n_qp, ...)."""
         return jnp.einsum("eqr,er...->eq...", self.onto, values)
 
     def split(self, values: Array) -> tuple[Array, Array]:
-        """(n, n_qp, ...) -> the share of the values as they are, and that of their projection; their sum is smooth."""
-        kept = self.kept.reshape(-1, *[1] * (values.ndim - 1))
-        return kept * values, (1.0 - kept) * self.projected(values)
+        """Return the two terms of ``smooth``: a * values, and (1 - a) * projected values, each (n, n_qp, ...).
+
+        a is ``fluctuation_fraction``.
+        """
+        retained = self.fluctuation_fraction.reshape(-1, *[1] * (values.ndim - 1))
+        return retained * values, (1.0 - retained) * self.projected(values)
 
     def smooth(self, values: Array) -> Array:
-        """(n, n_qp, ...) -> (n, n_qp, ...)."""
+        """Return the projection plus the retained fraction of the fluctuation about it: (n, n_qp, ...) -> (n, n_qp, ...)."""
         return sum(self.split(values))  # pyright: ignore[reportReturnType]
 
 
 def kinematics(X: Array, x: Array, bulk: Bulk, table: Table) -> tuple[Array, Smoothing, Array]:
-    """F [1], smoothing of the volume ratio, and weights [mm^2] at quadrature points: X, x (n, a, 3) [mm].
+    """Return F [1], the smoothing operator and integration weights [mm^2] at quadrature points: X, x (n, a, 3) [mm].
 
-    Open elements are left undeformed: whatever their nodes do, nothing of it, not even a NaN, reaches the tissue.
+    Elements without tissue are treated as undeformed, so that their nodes cannot affect the tissue, not even by a NaN.
     """
     x = jnp.where(bulk.fraction[:, None, None] > 0.0, x, X)
     X_map = local_map(X, table.gradient)
-    weights = table.weight * jnp.abs(det(X_map))  # the mesh library orients triangles either way
+    weights = table.weight * jnp.abs(det(X_map))  # the mesh library does not orient triangles consistently
     F: Array = product(local_map(x, table.gradient), inv(X_map))
-    return F, Smoothing(projection(table.volume, weights), bulk.kept), weights  # pyright: ignore[reportReturnType]
+    return F, Smoothing(projection(table.volume, weights), bulk.fluctuation_fraction), weights  # pyright: ignore[reportReturnType]
 
 
-def dilation(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
-    """Element-wise projection J_bar of the volume ratio, at quadrature points: X, x (n, a, 3) [mm] -> (n, n_qp).
+def volume_ratio(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
+    """Return J_bar, the volume ratio projected in each element, at quadrature points: X, x (n, a, 3) [mm] -> (n, n_qp).
 
-    In a section it is linear: pressure and volume then live in the discontinuous linear space, which with the bubble is
-    stable and of full order however incompressible the tissue (Crouzeix & Raviart 1973; three fields as in Simo, Taylor
-    & Pister 1985). In a solid it is the mean and a share of the fluctuation about it (:func:`kept_share`).
+    In a section J_bar is linear: pressure and volume ratio are then discontinuous and linear, which with bubble functions is
+    stable and of full order at any Poisson ratio (Crouzeix & Raviart 1973; three fields as in Simo, Taylor
+    & Pister 1985). In a solid J_bar is the mean plus a fraction of the fluctuation about it (:func:`fluctuation_fraction`).
     """
     F, smoothing, _ = kinematics(X, x, bulk, table)
     return smoothing.smooth(det(F))
 
 
-def filled_gradient(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
-    """F with the projected volume ratio, as the law sees it: X, x (n, a, 3) [mm] -> (n, n_qp, 3, 3) [1]."""
+def law_gradient(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
+    """Return F with volume ratio J_bar, the input of the law: X, x (n, a, 3) [mm] -> (n, n_qp, 3, 3) [1]."""
     F, smoothing, _ = kinematics(X, x, bulk, table)
-    return dilated(F, smoothing.smooth(det(F)))
+    return with_volume_ratio(F, smoothing.smooth(det(F)))
 
 
 def bulk_energy(X: Array, x: Array, bulk: Bulk, table: Table) -> Array:
-    """Strain energy per reference volume at quadrature points: X, x (n, a, 3) [mm] -> (n, n_qp) [kPa]."""
-    return bulk.law.energy(filled_gradient(X, x, bulk, table))
+    """Return strain energy per reference volume at quadrature points: X, x (n, a, 3) [mm] -> (n, n_qp) [kPa]."""
+    return bulk.law.energy(law_gradient(X, x, bulk, table))
 
 
-def point_stress(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array) -> tuple[Array, Array]:
-    r"""Stress that does the work on F, and mean stress conjugate to J_bar: (..., 3, 3), (...), (...) [1, 1, kPa].
+def point_stress(law: Material, F: Array, J_bar: Array, pressure: Array) -> tuple[Array, Array]:
+    r"""Return the stress conjugate to F and the mean stress conjugate to J_bar: F (..., 3, 3), J_bar, pressure (...) [1, 1, kPa].
 
     With :math:`\bar F = (\bar J / J)^{1/3} F` and :math:`\bar P = P(\bar F)` the virtual work of the element is
     :math:`\int (s \bar P - t F^{-T} + \pi\, \mathrm{cof} F) : \delta F`, :math:`s = (\bar J/J)^{1/3}`,
-    :math:`t = \bar P : \bar F / 3`, :math:`\pi` (``pressure``) the projection of the mean stress :math:`t / \bar J`.
+    :math:`t = \bar P : \bar F / 3`, :math:`\pi` (``pressure``) the smoothed mean stress :math:`t / \bar J`.
     """
     J = det(F)
-    F_bar = dilated(F, J_bar)
+    F_bar = with_volume_ratio(F, J_bar)
     P_bar = law.stress(F_bar)
     t = jnp.sum(P_bar * F_bar, axis=(-2, -1)) / 3.0
     P = jnp.cbrt(J_bar / J)[..., None, None] * P_bar + (pressure - t / J)[..., None, None] * cofactor(F)
@@ -165,38 +173,39 @@ def point_stress(law: EnergyMaterial, F: Array, J_bar: Array, pressure: Array) -
 
 
 class PointRates(NamedTuple):
-    """:func:`point_stress` at quadrature points, the pressure held, and how it changes."""
+    """Stress and mean stress of :func:`point_stress` at quadrature points, and their derivatives at fixed pressure."""
 
     P: Array
-    """(..., 3, 3) [kPa]."""
+    """Stress conjugate to F (..., 3, 3) [kPa]."""
     mean: Array
-    """Mean stress (...) [kPa]."""
+    """Mean stress conjugate to J_bar (...) [kPa]."""
     P_by_F: Array
-    """(..., 3, 3, 3, 3) [kPa]."""
+    """Derivative of P with respect to F (..., 3, 3, 3, 3) [kPa]."""
     mean_by_F: Array
-    """(..., 3, 3) [kPa]."""
+    """Derivative of the mean stress with respect to F (..., 3, 3) [kPa]."""
     P_by_J: Array
-    """By J_bar (..., 3, 3) [kPa]."""
+    """Derivative of P with respect to J_bar (..., 3, 3) [kPa]."""
     mean_by_J: Array
-    """(...) [kPa]."""
+    """Derivative of the mean stress with respect to J_bar (...) [kPa]."""
 
 
-def point_rates(law: EnergyMaterial, F: Array, J_bar: Array, smoothing: Smoothing) -> PointRates:
-    r"""Stress and its derivatives from the law's own answer at :math:`\bar F`, in the cheapest way that it knows.
+def point_rates(law: Material, F: Array, J_bar: Array, smoothing: Smoothing) -> PointRates:
+    r"""Return the result of :func:`point_stress` and its derivatives, from the law's stress and tangent at :math:`\bar F`.
 
-    By the chain rule, with :math:`\bar A = dP/dF` there, :math:`h = \bar A : \bar F`, :math:`\tilde h = \bar F : \bar A`,
+    F is (n, n_qp, 3, 3) [1] and J_bar (n, n_qp) [1]; the pressure is the mean stress smoothed in each element. By the chain
+    rule, with :math:`\bar A = dP/dF` at :math:`\bar F`, :math:`h = \bar A : \bar F`, :math:`\tilde h = \bar F : \bar A`,
     :math:`q = (\bar F : h)/3 + t` and :math:`G = F^{-T}`: :math:`3\,dt/dF = s(\tilde h + \bar P) - qG` and
 
     .. math:: \frac{dP}{dF} = s^2 \bar A - \frac{s}{3} (h + \bar P) \otimes G - G \otimes \frac{dt}{dF}
         + J\pi\, G \otimes G - (J\pi - t) [G_{iL} G_{kJ}]_{iJkL}
     """
-    J, F_bar = det(F), dilated(F, J_bar)
+    J, F_bar = det(F), with_volume_ratio(F, J_bar)
     P_bar, A_bar, _ = law.response(F_bar)
     s, G = jnp.cbrt(J_bar / J)[..., None, None], cofactor(F) / J[..., None, None]
     right = jnp.sum(A_bar * F_bar[..., None, None, :, :], axis=(-2, -1)) + P_bar
     left = jnp.sum(A_bar * F_bar[..., :, :, None, None], axis=(-4, -3)) + P_bar
     t = jnp.sum(P_bar * F_bar, axis=(-2, -1)) / 3.0
-    q = jnp.sum(right * F_bar, axis=(-2, -1)) / 3.0  # with P_bar : F_bar / 3 = t in it
+    q = jnp.sum(right * F_bar, axis=(-2, -1)) / 3.0  # includes P_bar : F_bar / 3 = t
     t_by_F = (s * left - q[..., None, None] * G) / 3.0
     mean = t / J_bar
     swollen = J * smoothing.smooth(mean)
@@ -215,13 +224,13 @@ def point_rates(law: EnergyMaterial, F: Array, J_bar: Array, smoothing: Smoothin
 
 
 def slopes(X: Array, table: Table) -> Array:
-    """Gradients of the shape functions along the element's axes: X (n, a, 3) [mm] -> (n, n_qp, a, n_axes) [1/mm]."""
-    axes = table.gradient.shape[-1]  # nothing changes along a section's normal
+    """Return gradients of the shape functions along the spatial axes: X (n, a, 3) [mm] -> (n, n_qp, a, n_axes) [1/mm]."""
+    axes = table.gradient.shape[-1]  # 2 for a section: no gradient along its normal
     return jnp.einsum("qab,eqbJ->eqaJ", table.gradient, inv(local_map(X, table.gradient))[..., :axes, :axes])
 
 
 def bulk_force(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
-    """Internal minus gravity forces per depth on the nodes: X, x (n, a, 3) [mm], J_bar (n, n_qp) -> (n, a, 3) [mN/mm]."""
+    """Return internal forces minus weight at the nodes of elements: X, x (n, a, 3) [mm], J_bar (n, n_qp) -> (n, a, 3) [mN/mm]."""
     F, smoothing, weights = kinematics(X, x, bulk, table)
     P, _ = point_stress(bulk.law, F, J_bar, smoothing.smooth(_mean_stress(bulk.law, F, J_bar)))
     weights = weights * bulk.fraction[:, None]
@@ -231,48 +240,53 @@ def bulk_force(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, tab
     return internal - jnp.einsum("eq,qa->ea", mass, table.value)[..., None] * gravity
 
 
-def _mean_stress(law: EnergyMaterial, F: Array, J_bar: Array) -> Array:
-    """Mean stress conjugate to J_bar (n, n_qp) [kPa]."""
+def _mean_stress(law: Material, F: Array, J_bar: Array) -> Array:
+    """Return the mean stress conjugate to J_bar: F (n, n_qp, 3, 3), J_bar (n, n_qp) -> (n, n_qp) [kPa]."""
     return point_stress(law, F, J_bar, jnp.zeros_like(J_bar))[1]
 
 
 class Linearised(NamedTuple):
-    """First order of ``bulk_force`` about (u, J_bar), u the positions x or X, with J_bar then tied to them again.
+    """Linearisation of ``bulk_force`` with respect to positions u (x or X), after elimination of the volume ratios J_bar.
 
-    Element matrices are left as what they are contracted from, :func:`..core.native.add_contracted`.
+    Element matrices are given by the factors from which :func:`..core.native.add_contracted` computes them.
     """
 
     slopes: Array
-    """B, gradients of the shape functions along the element's axes (n, n_qp, a, n_axes) [1/mm]."""
+    """B: gradients of the shape functions along the spatial axes (n, n_qp, a, n_axes) [1/mm]."""
     tangent: Array
-    """Tangent of each point times its weight (n, n_qp, 3, n_axes, 3, n_axes)."""
+    """Tangent dP/dF at each point times its integration weight (n, n_qp, 3, n_axes, 3, n_axes)."""
     columns: Array
-    """Left factors of what is of rank one at each point (n, m, 3a)."""
+    """Left factors of m rank-one terms of each element matrix (n, m, 3a)."""
     rows: Array
-    """Right factors (n, m, 3a)."""
+    """Right factors of the m rank-one terms (n, m, 3a)."""
     force_rate: Array
-    """Change of force by J_bar at each quadrature point (n, n_qp, 3a) [mN/mm]."""
+    """Derivative of the nodal forces with respect to J_bar at each quadrature point (n, n_qp, 3a) [mN/mm]."""
     volume_rate: Array
-    """Change of J_bar by du (n, n_qp, 3a) [1/mm]; 0 in open elements."""
+    """Derivative of J_bar with respect to u (n, n_qp, 3a) [1/mm]; 0 in elements without tissue."""
 
 
 class _Rates(NamedTuple):
-    """What both linearisations are contracted from, at quadrature points."""
+    """Quantities at quadrature points from which the linearisations with respect to x and to X are computed."""
 
     F: Array
+    """Deformation gradient (n, n_qp, 3, 3) [1]."""
     B: Array
+    """Gradients of the shape functions along the spatial axes (n, n_qp, a, n_axes) [1/mm]."""
     smoothing: Smoothing
     weights: Array
-    """(n, n_qp, 1) [mm^2], 0 in open elements."""
+    """Integration weights (n, n_qp, 1) [mm^2], 0 in elements without tissue."""
     P: Array
+    """First Piola-Kirchhoff stress along the spatial axes (n, n_qp, 3, n_axes) [kPa]."""
     mean: Array
     """Mean stress (n, n_qp) [kPa]."""
     P_by_F: Array
+    """Derivative of P with respect to F (n, n_qp, 3, n_axes, 3, n_axes) [kPa]."""
     mean_by_F: Array
+    """Derivative of the mean stress with respect to F (n, n_qp, 3, n_axes) [kPa]."""
     volume_by_x: Array
-    """Change of J_bar by dx (n, n_qp, 3a) [1/mm]."""
+    """Derivative of J_bar with respect to x (n, n_qp, 3a) [1/mm]."""
     force_by_volume: Array
-    """Change of force by J_bar (n, n_qp, 3a) [mN/mm]."""
+    """Derivative of the nodal forces with respect to J_bar (n, n_qp, 3a) [mN/mm]."""
 
 
 def _rates(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> _Rates:
@@ -285,18 +299,21 @@ def _rates(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> _Rates
     force_by_volume = weights * (_to_nodes(B, point.P_by_J[..., :axes]) + point.mean_by_J[..., None] * volume_by_x)
     P, P_by_F, mean_by_F = point.P[..., :axes], point.P_by_F[..., :axes, :, :axes], point.mean_by_F[..., :axes]
     rates = _Rates(F, B, smoothing, weights, P, point.mean, P_by_F, mean_by_F, volume_by_x, force_by_volume)
-    return jax.lax.optimization_barrier(rates)  # or XLA works them out anew for each entry that is made of them
+    return jax.lax.optimization_barrier(rates)  # otherwise XLA recomputes them for each matrix entry that uses them
 
 
 def _to_nodes(B: Array, P: Array) -> Array:
-    """Work of a stress-like field on each degree of freedom: (n, n_qp, a, axes), (n, n_qp, 3, axes) -> (n, n_qp, 3a)."""
+    """Return P : dF/du for each nodal component u: B (n, n_qp, a, n_axes), P (n, n_qp, 3, n_axes) -> (n, n_qp, 3a).
+
+    B are the gradients of the shape functions.
+    """
     return jnp.einsum("eqaJ,eqiJ->eqai", B, P).reshape(*B.shape[:2], -1)
 
 
 def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Linearised:
-    """By x.
+    """Linearise ``bulk_force`` with respect to the positions x.
 
-    ``tangent`` of ``tied_force`` by x is the slow twin of its contraction where J_bar = J_bar(x).
+    If J_bar = J_bar(x), the element matrices equal those of ``tangent`` applied to ``tied_force``, a slow reference.
     """
     r = _rates(X, x, J_bar, bulk, table)
     columns = jnp.concatenate([r.force_by_volume, r.weights * r.volume_by_x], axis=1)
@@ -306,10 +323,11 @@ def linearised(X: Array, x: Array, J_bar: Array, bulk: Bulk, table: Table) -> Li
 
 
 def linearised_reference(X: Array, x: Array, J_bar: Array, bulk: Bulk, gravity: Array, table: Table) -> Linearised:
-    r"""By the reference positions X, x held: ``tangent`` of ``tied_force`` by X is the slow twin.
+    r"""Linearise ``bulk_force`` with respect to the reference positions X at fixed x.
 
-    A shift of X with gradient H along X changes F by :math:`-FH`, the slopes B of the shape functions by
-    :math:`-BH` and volumes by tr H; gravity, fixed to the reference volume, changes with these.
+    The slow reference is ``tangent`` applied to ``tied_force`` as a function of X. A shift of X with gradient H changes F by
+    :math:`-FH`, the gradients B of the shape functions by :math:`-BH` and volumes by the factor 1 + tr H; gravity acts on
+    mass per reference volume and changes with the volumes.
     """
     r = _rates(X, x, J_bar, bulk, table)
     axes = r.B.shape[-1]
@@ -341,28 +359,28 @@ def _where_tissue(bulk: Bulk, rate: Array) -> Array:
 
 
 def tied_force(X: Array, x: Array, bulk: Bulk, gravity: Array, table: Table) -> Array:
-    """``bulk_force`` at J_bar = J_bar(x), the gradient of the energy: X, x (n, a, 3) [mm] -> (n, a, 3) [mN/mm]."""
-    return bulk_force(X, x, dilation(X, x, bulk, table), bulk, gravity, table)
+    """Return ``bulk_force`` at J_bar = J_bar(x), the gradient of the energy: X, x (n, a, 3) [mm] -> (n, a, 3) [mN/mm]."""
+    return bulk_force(X, x, volume_ratio(X, x, bulk, table), bulk, gravity, table)
 
 
 def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    """Strain energy of each piece of skin: a section's edges X, x (n, 3, 3) [mm], a solid's faces (n, 6, 3) [mm] -> (n,) [mN].
+    """Return the strain energy of each skin facet: X, x (n, 3, 3) or (n, 6, 3) [mm], edges or faces -> (n,) [mN].
 
-    Its thickness keeps the volume. A stiff film on soft tissue wrinkles when it is shortened by more than a small strain,
-    and then bears no more than the load at which it wrinkled (Allen 1969). Wrinkles are finer than the mesh, so this is the
-    energy averaged over them.
+    The thickness changes so that volume is preserved. A stiff film on soft tissue wrinkles when compressed by more than a
+    small strain, and then carries no more than its wrinkling load (Allen 1969). Wrinkles are finer than the mesh,
+    so this is the energy averaged over them.
     """
     density = _edge_energy if table.gradient.shape[-1] == 1 else _face_energy
     extent, W = density(X, x, membrane, table)
-    return membrane.thickness * jnp.sum(table.weight * extent * W, axis=-1)
+    return jnp.asarray(membrane.thickness * jnp.sum(table.weight * extent * W, axis=-1))
 
 
 def _edge_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
-    r"""Length over that of the reference edge [mm] and energy density [kPa]: X, x (n, 3, 3) [mm] -> (n, n_qp), (n, n_qp).
+    r"""Return reference length element [mm] and energy density [kPa] of edges: X, x (n, 3, 3) [mm] -> two (n, n_qp).
 
-    The law's own where the edge is stretched; where it is shortened by :math:`\epsilon`, :math:`k \epsilon_w [\epsilon -
-    \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`, whose stress starts with the law's modulus k and ends at
-    :math:`k \epsilon_w`. It is smooth, and its tangent never negative.
+    The energy is the law's own where the edge is stretched, and where it is shortened by :math:`\epsilon` it is
+    :math:`k \epsilon_w [\epsilon - \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`. The stress of the latter has the law's modulus k
+    as its initial slope and tends to :math:`k \epsilon_w`. The energy is smooth and its tangent is never negative.
     """
     X_s = jnp.einsum("eai,qa->eqi", X, table.gradient[..., 0])
     x_s = jnp.einsum("eai,qa->eqi", x, table.gradient[..., 0])
@@ -374,19 +392,20 @@ def _edge_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[
 
 
 def _face_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
-    r"""Area over that of the reference face [mm^2] and energy density [kPa]: X, x (n, 6, 3) [mm] -> (n, n_qp), (n, n_qp).
+    r"""Return reference area element [mm^2] and energy density [kPa] of faces: X, x (n, 6, 3) [mm] -> two (n, n_qp).
 
-    With :math:`e_1 \ge e_2` the logarithms of the principal stretches, a tension field (Pipkin 1986) that bears a little
-    compression:
+    A tension-field energy (Pipkin 1986) with a small resistance to compression, in terms of the logarithms
+    :math:`e_1 \ge e_2` of the principal stretches:
 
     .. math:: \Psi(a_1, a_2) + k \, [f(n) + f(p) + f'(n) f'(p) / 2], \qquad
         f(p) = \epsilon_w [p - \epsilon_w (1 - e^{-p/\epsilon_w})]
 
-    :math:`a_1 = \max(e_1, 0)` and :math:`a_2 = \max(e_2, -a_1/2)` is what the law sees: a film pulled one way is slack when
-    it is narrower than it would be in simple tension. :math:`p = \max(-a_1/2 - e_2, 0)` is what it is shortened beyond that,
-    :math:`n = \max(-e_1, 0)` what it is shortened the other way too. At rest the second derivatives agree on all sides, those
-    of the first kind everywhere; the energy is convex in the principal stretches. Against being
-    shortened, one way or both, the film pushes with a Kirchhoff stress of :math:`k \epsilon_w` at most.
+    The law is evaluated at the strains :math:`a_1 = \max(e_1, 0)` and :math:`a_2 = \max(e_2, -a_1/2)`. A film pulled along the
+    first direction contracts along the second by up to half the strain :math:`a_1`, as in simple tension; if it is shorter than
+    that along the second, it is slack there. :math:`p = \max(-a_1/2 - e_2, 0)` is this excess shortening along the second
+    direction, :math:`n = \max(-e_1, 0)` the shortening along the first. First derivatives are continuous everywhere, second
+    ones at rest; the energy is convex in the principal stretches. The compressive Kirchhoff stress of the film, in one
+    direction or both, is at most :math:`k \epsilon_w`.
     """
     X_map, x_map = (jnp.einsum("eai,qab->eqib", y, table.gradient) for y in (X, x))
     area, e = principal_strains(X_map, x_map)
@@ -398,24 +417,24 @@ def _face_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[
 
 
 def wrinkled(shortening: Array, limit: Array) -> tuple[Array, Array]:
-    """Energy and pull of a wrinkling film over its modulus, 0 and the shortening at first: (...) [1] -> (...), (...) [1]."""
+    """Return energy and compressive stress of a wrinkling film, both divided by its modulus: (...) [1] -> (...), (...) [1]."""
     pull = -limit * jnp.expm1(-shortening / limit)
     return limit * (shortening - pull), pull
 
 
-NEARLY_EQUAL = 1e-8  # difference of squared principal stretches, over their mean, below which they are not told apart
+NEARLY_EQUAL = 1e-8  # relative difference of squared principal stretches below which they are treated as equal
 
 
 def principal_strains(X_map: Array, x_map: Array) -> tuple[Array, tuple[Array, Array]]:
-    """Area over that of the reference face [mm^2], logarithms of the principal stretches, the larger first [1].
+    """Return reference area element [mm^2] and logarithmic principal stretches of faces, the larger first [1].
 
-    X_map, x_map (..., 3, 2) [mm]: derivatives of position by the face's local axes. A function of the two strains that is
-    symmetric has exact first derivatives; second ones to about 1e-8 where the stretches are equal, since their difference is
-    kept from 0 there.
+    X_map, x_map (..., 3, 2) [mm] are the derivatives of position with respect to local coordinates. A symmetric function of the
+    two strains has exact first derivatives; second derivatives are accurate to about 1e-8 where the stretches are equal,
+    because their difference is bounded away from 0.
     """
     (G11, G12, G22), (g11, g12, g22) = _metric(X_map), _metric(x_map)
     area2, lean = G11 * G22 - G12**2, G12 / G11
-    # right Cauchy-Green tensor in axes that are orthonormal in the reference, the first along the first tangent
+    # right Cauchy-Green tensor in orthonormal axes of the reference face, the first along its first tangent
     C11 = g11 / G11
     C12 = (g12 - lean * g11) / jnp.sqrt(area2)
     C22 = (g22 - 2.0 * lean * g12 + lean**2 * g11) * G11 / area2
@@ -427,31 +446,34 @@ def principal_strains(X_map: Array, x_map: Array) -> tuple[Array, tuple[Array, A
 
 
 def _metric(tangents: Array) -> tuple[Array, Array, Array]:
-    """Products of two tangents (..., 3, 2) [mm] with each other: 11, 12, 22 [mm^2]."""
+    """Return the metric (scalar products 11, 12, 22) of two tangent vectors: (..., 3, 2) [mm] -> 3 x (...) [mm^2]."""
     a, b = tangents[..., 0], tangents[..., 1]
     return jnp.sum(a * a, axis=-1), jnp.sum(a * b, axis=-1), jnp.sum(b * b, axis=-1)
 
 
 def sheet(one: Array, other: Array) -> Array:
-    """Deformation gradient (..., 3, 3) of an incompressible film stretched along two axes of its own (...) [1]."""
+    """Return the deformation gradient (..., 3, 3) of an incompressible film with two principal stretches (...) [1]."""
     return jnp.stack([one, other, 1.0 / (one * other)], axis=-1)[..., None] * jnp.eye(3)
 
 
 def film(stretch: Array, shear: Array) -> Array:
-    """Deformation gradient (..., 3, 3) of an incompressible film in its own axes: edge, thickness, normal of the section."""
+    """Return the deformation gradient (..., 3, 3) of an incompressible film from its stretch and shear (...) [1].
+
+    Its axes are the edge, the direction of the thickness and the normal of the section.
+    """
     zero, one = jnp.zeros_like(stretch), jnp.ones_like(stretch)
     rows = [[stretch, zero, zero], [zero, 1.0 / stretch, zero], [shear, zero, one]]
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def film_modulus(law: EnergyMaterial) -> Array:
-    """Second derivative of the film's energy by stretch at rest [kPa]; 4 mu for a neo-Hookean law."""
+def film_modulus(law: Material) -> Array:
+    """Return the second derivative of a film's energy with respect to its stretch, at rest [kPa]; 4 mu for a neo-Hookean law."""
     one = jnp.ones(())
     return jax.grad(jax.grad(lambda s: law.energy(film(s, 0.0 * s))))(one)
 
 
 def wrinkling_strain(E_film: float, E_below: float) -> float:
-    """Compression at which a stiff film on a soft half-space wrinkles: (3 E_below / E_film)^(2/3) / 4 [1].
+    """Return the compressive strain at which a stiff film on a soft half-space wrinkles: (3 E_below / E_film)^(2/3) / 4 [1].
 
     Source: Allen, Analysis and design of structural sandwich panels (1969), for equal Poisson ratios.
     """
@@ -459,24 +481,27 @@ def wrinkling_strain(E_film: float, E_below: float) -> float:
 
 
 def meshed_wrinkling_strain(E_film: float, E_below: float, thickness: float, wave_mm: float) -> float:
-    r"""Wrinkling strain that a mesh of a solid bears: the film's own, or less where the mesh is finer than its wrinkles [1].
+    r"""Return the wrinkling strain for the mesh of a solid: the film's own, or less if the mesh would resolve wrinkles [1].
 
-    A film without bending stiffness that pushes with N on soft tissue of shear modulus mu buckles in all waves shorter than
-    :math:`\pi N/\mu`, since the half-space below resists a wave number k with :math:`2 \mu k < N k^2`. A solid's mesh would
-    show such waves down to ``wave_mm``, the length of its shortest edge on the skin, instead of averaging them; so the push
-    :math:`N = k_f \epsilon_w t`, :math:`k_f = 4 \mu_f`, is kept at half of what the mesh bears.
+    A film without bending stiffness under a compressive force N per length on soft tissue of shear modulus mu buckles in all
+    waves shorter than :math:`\pi N/\mu`, since its resistance at wave number k is then too small, :math:`2 \mu k < N k^2`.
+    A solid's mesh would resolve such waves down to ``wave_mm``, the length of its shortest edge on the skin, instead of averaging
+    over them; the force :math:`N = k_f \epsilon_w t`, :math:`k_f = 4 \mu_f`, is therefore limited to half of this critical value.
     """
     bearable = E_below * wave_mm / (2.0 * np.pi * 4.0 * E_film * thickness)
     return min(wrinkling_strain(E_film, E_below), bearable)
 
 
 def membrane_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    """Forces per depth of the skin on the nodes: X, x (n, 3 or 6, 3) [mm] -> the same shape [mN/mm]."""
+    """Return the internal forces of the skin at the nodes, per depth: X, x (n, 3 or 6, 3) [mm] -> same shape [mN/mm]."""
     return jax.grad(lambda y: jnp.sum(membrane_energy(X, y, membrane, table)))(x)
 
 
 def pressure_force(x: Array, membrane: Membrane, table: Table) -> Array:
-    """Internal minus external forces of pressure on a solid's faces, outward: x (n, 6, 3) [mm] -> (n, 6, 3) [mN]; 0 on edges."""
+    """Return the residual of pressure on a solid's faces: x (n, 6, 3) [mm] -> (n, 6, 3) [mN]; 0 on edges.
+
+    The residual is minus the external nodal forces, so a positive pressure gives values along the outward normal.
+    """
     if table.gradient.shape[-1] == 1:
         return jnp.zeros_like(x)
     one, other = jnp.moveaxis(jnp.einsum("eai,qab->eqib", x, table.gradient), -1, 0)
@@ -485,12 +510,16 @@ def pressure_force(x: Array, membrane: Membrane, table: Table) -> Array:
 
 
 def facet_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
-    """Forces of skin and pressure on the nodes: X, x (n, a, 3) [mm] -> (n, a, 3) [mN/mm]."""
+    """Return internal minus external forces of skin and pressure at the nodes: X, x (n, a, 3) [mm] -> (n, a, 3) [mN/mm]."""
+    if not len(X):  # most solids have no skin, so there is nothing to trace and compile
+        return jnp.zeros_like(x)
     return membrane_force(X, x, membrane, table) + pressure_force(x, membrane, table)
 
 
 def tangent(force, x: Array) -> Array:
-    """Derivative of batched element forces by batched node positions: (n, a, 3) -> (n, 3a, 3a) [mN/mm^2].
+    """Return the derivative of element forces with respect to node positions: x (n, a, 3) [mm] -> (n, 3a, 3a) [mN/mm^2].
+
+    ``force`` is a function (n, a, 3) [mm] -> (n, a, 3) [mN/mm].
 
     Elements are independent, so one directional derivative per node component serves the whole batch.
     """

@@ -1,4 +1,4 @@
-"""Forward and inverse equilibrium of a body under gravity, pressure and what moves its supports."""
+"""Forward and inverse equilibrium of a body under gravity, pressure and displacements of its supports."""
 
 from __future__ import annotations
 
@@ -13,30 +13,35 @@ import scipy.sparse as sp
 from ..core.errors import ConvergenceError
 from ..numerics.linear import Engine, LinearSolver
 from ..numerics.newton import NewtonReport, minimise, newton, ramp
-from .body import Body, Frame, VolumeRates
+from .body import Body, Discretization, VolumeRates
 from .pullback import Pullback
 from .supports import Supports
 
-SMALLEST_STEP = 0.25  # of a load; below that, going downhill is cheaper
-REUSE_BELOW = 0.05  # a step that brings the residual so far down earns its tangent another one, under gravity alone
-LOOSEST, CLOSE = 1e-2, 1e-6  # how exactly a linear system is solved, relative to its right-hand side
-DRAG_STEP, NO_WAY = 1e-6, 1e-13  # of the body's extent: step of a difference, and what is rounding
-RIGID = 1e-6  # of the forces that move supports alone: what a body that follows as a whole is measured against
-ASIDE, MOST_SADDLES = 1e-4, 6  # of the body's extent: how far beside a saddle to go on; how many to leave
+SMALLEST_STEP = 0.25  # smallest load step, as a fraction of the load; below it, minimising the energy is cheaper
+REUSE_BELOW = 0.05  # under gravity alone, reuse the tangent if the last step reduced the residual below this fraction
+MAX_FORCING = 1e-2  # largest relative tolerance of a linear solve in Newton's method
+LINEAR_TOLERANCE = 1e-6  # relative tolerance of all other linear solves
+FD_STEP = 1e-6  # finite-difference step, relative to body size
+ZERO_DISPLACEMENT = 1e-13  # displacements below this, relative to body size, are round-off
+RIGID_MOTION_WEIGHT = 1e-6  # weight in the load scale of the forces that move the supports alone, for rigid motions
+SADDLE_PERTURBATION = 1e-4  # perturbation at a saddle point, relative to body size
+MAX_SADDLES = 6  # largest number of saddle points that a minimisation may leave
 
 
 class Equilibrium:
-    """Solver for bodies on one frame; it keeps factors from solve to solve, which change its answers within the tolerance.
+    """Equilibrium solver for bodies that share one discretisation.
+
+    Factorised matrices are reused in later solves; this changes results only within the tolerance.
 
     Parameters
     ----------
     relative_tolerance : float
-        Bound on the residual over the weight of the body (Euclidean norms) [1].
+        Bound on the residual relative to the weight of the body (Euclidean norms) [1].
     tell : callable, optional
-        Hears a few words on each iteration.
+        Function called with a progress message at each iteration.
     on : Engine, optional
-        What the linear systems are solved on; that of :func:`.linear.engine` unless given. Bodies that ranks share need one
-        that sums over these ranks.
+        Back end of the linear solver; by default that of :func:`.linear.engine`. Bodies shared by ranks need one that
+        sums over these ranks.
     """
 
     def __init__(
@@ -46,45 +51,46 @@ class Equilibrium:
         on: Engine | None = None,
     ) -> None:
         self.relative_tolerance, self.tell, self._on = relative_tolerance, tell, on
-        self._linear: dict[bool, LinearSolver] = {}  # by whether a section's normal is left out
-        self._gone = np.zeros(2, int)  # factorisations and Krylov steps of solvers that are gone
+        self._linear: dict[bool, LinearSolver] = {}  # keyed by ``in_plane``
+        self._gone = np.zeros(2, int)  # factorisations and Krylov iterations of discarded solvers
 
     @property
     def factorizations(self) -> int:
-        """Matrices factorised so far."""
+        """Number of matrices factorised so far."""
         return int(self._gone[0]) + sum(solver.n_factorizations for solver in self._linear.values())
 
     @property
     def krylov_steps(self) -> int:
-        """Solves with a factor so far."""
+        """Number of Krylov iterations so far."""
         return int(self._gone[1]) + sum(solver.n_steps for solver in self._linear.values())
 
-    def forget(self) -> None:
-        """Let all factors go; the next solve depends on its arguments alone."""
+    def reset(self) -> None:
+        """Discard all factorised matrices, so that the next solve depends only on its arguments."""
         for solver in self._linear.values():
             self._retire(solver)
         self._linear.clear()
 
     def _retire(self, solver: LinearSolver) -> None:
         self._gone += solver.n_factorizations, solver.n_steps
-        solver.forget()
+        solver.reset()
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """Everything that the next solve depends on besides its arguments: the factors, for ``restore``."""
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Return a checkpoint for ``restore``: the matrix factors, since these influence the next solve."""
         return {
             f"{int(in_plane)}.{name}": array
             for in_plane, solver in self._linear.items()
-            for name, array in solver.kept().items()
+            for name, array in solver.state_arrays().items()
         }
 
-    def restore(self, frame: Frame, kept: Mapping[str, np.ndarray]) -> None:
-        """Go on, to the bit, where another solver on the same frame was."""
+    def restore(self, discretization: Discretization, arrays: Mapping[str, np.ndarray]) -> None:
+        """Replace all factors by those saved with ``state_arrays``, so that later solves are bitwise identical."""
+        self.reset()
         for in_plane in (False, True):
             prefix = f"{int(in_plane)}."
-            part = {name.removeprefix(prefix): array for name, array in kept.items() if name.startswith(prefix)}
+            part = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
             if part:
                 self._linear[in_plane] = LinearSolver(self._on)
-                self._linear[in_plane].restore(frame.empty_matrix(in_plane), part)
+                self._linear[in_plane].restore(discretization.empty_matrix(in_plane), part)
 
     def loaded(
         self,
@@ -92,49 +98,56 @@ class Equilibrium:
         X: np.ndarray,
         gravity: np.ndarray,
         start: np.ndarray | None = None,
-        held_at: np.ndarray | None = None,
+        prescribed_positions: np.ndarray | None = None,
     ) -> tuple[np.ndarray, NewtonReport]:
-        """Find the loaded shape of a body whose unloaded shape is known.
+        """Solve for the loaded shape of a body whose unloaded shape is known.
 
         Parameters
         ----------
         body : Body
-            Tissue, skin and supports.
+            Tissue, skin, supports and pressure.
         X : (n_nodes, 3) array [mm]
             Unloaded positions.
         gravity : (3,) array [mm/s^2]
             Acceleration in the section's axes.
         start : (n_nodes, 3) array [mm], optional
-            A nearby equilibrium; tried first, then the unloaded shape, then again letting its out-of-balance forces go
-            little by little. Without it gravity is ramped up from the unloaded shape. Where Newton's method fails
-            even in small steps (a slender breast that buckles), potential energy is minimised from there, if no pressure acts.
-        held_at : (n_nodes, 3) array [mm], optional
-            Where nodes are held in the end (fixed ones, and sliding ones along their directions); they get there with the load.
-            Without it they stay where ``start`` (or X) has them.
+            A nearby equilibrium. Initial guesses are then, in order: this shape, the unloaded shape, and this shape again with
+            its residual ramped to zero. Without it the loads are ramped up from the unloaded shape. If Newton's method fails
+            even in small steps (as for a slender breast that buckles), the potential energy is minimised from the last shape
+            reached, provided that the forces have a potential.
+        prescribed_positions : (n_nodes, 3) array [mm], optional
+            Prescribed final positions of constrained nodes (fixed ones, and sliding ones along their directions), reached
+            in proportion to the load. By default these nodes stay as in ``start`` (or X).
 
         Returns
         -------
         (n_nodes, 3) array [mm], NewtonReport
-            Loaded positions; nodes that no tissue holds stay where ``start`` (or X) had them.
+            Loaded positions, with nodes without tissue as in ``start`` (or X), and the record of the solve.
 
         Raises
         ------
         ConvergenceError
-            With everything that was tried.
+            If no equilibrium is found, with the history of all attempts.
         """
         report = NewtonReport(tell=self.tell)
         at_rest = X if start is None else np.where(body.active_nodes[:, None], X, start)
         problem = _Problem(body, X, at_rest, gravity, gravity)
-        problem = replace(problem, beside=np.hypot(problem.pressing, self._reaction(problem, held_at)))
-        by_load = _Path(
-            problem.x, lambda x, load: self._newton(self._carried(problem.under(load, x), load, held_at), report)
+        problem = replace(
+            problem,
+            other_loads_norm=np.hypot(problem.pressure_load_norm, self._reaction(problem, prescribed_positions)),
         )
-        if problem.beside == 0.0 and not gravity.any():
-            problem = replace(problem, beside=body.inner_force(X, problem.x))
-        is_gradual = held_at is not None or body.pressure is not None
+        by_load = _Path(
+            problem.x,
+            lambda x, load: self._newton(
+                self._predicted(problem.with_load_share(load, x), load, prescribed_positions), report
+            ),
+        )
+        if problem.other_loads_norm == 0.0 and not gravity.any():
+            problem = replace(problem, other_loads_norm=body.inner_force(X, problem.x))
+        is_gradual = prescribed_positions is not None or body.pressure is not None
         paths = [("the unloaded shape", by_load, {"smallest": SMALLEST_STEP / 16 if is_gradual else SMALLEST_STEP})]
         if start is not None:
-            nearby = self._let_go(self._carried(replace(problem, x=start), 1.0, held_at), report)
+            nearby = self._homotopy(self._predicted(replace(problem, x=start), 1.0, prescribed_positions), report)
             paths = [
                 ("the nearby shape", nearby, {"smallest": 1.0}),
                 ("the unloaded shape", by_load, {"smallest": 1.0}),
@@ -148,50 +161,57 @@ class Equilibrium:
             except ConvergenceError as error:
                 if number == len(paths) - 1 and not body.has_potential:
                     raise ConvergenceError(str(error), report.history) from error
-        report.history.append("downhill in potential energy from there")
+        report.history.append("minimising the potential energy from there")
         try:
-            last = self._carried(replace(problem, x=paths[-1][1].reached), 1.0, held_at)
+            last = self._predicted(replace(problem, x=paths[-1][1].reached), 1.0, prescribed_positions)
             return self._minimise(last, report), report
         except ConvergenceError as error:
             raise ConvergenceError(str(error), report.history + error.history) from error
 
-    def _carried(self, problem: _Problem, share: float, held_at: np.ndarray | None) -> _Problem:
-        """Put held nodes a share of their way on, and let the others follow to first order."""
-        if held_at is None:
+    def _predicted(self, problem: _Problem, share: float, prescribed_positions: np.ndarray | None) -> _Problem:
+        """Return the problem with a better initial guess for a fraction ``share`` of the prescribed displacement.
+
+        Constrained nodes are moved to their prescribed positions, and all others by the linearised response.
+        """
+        if prescribed_positions is None:
             return problem
-        way = problem.supports.held(problem.X + share * (held_at - problem.X) - problem.x)
-        if np.abs(way).max() <= NO_WAY * np.ptp(problem.X, axis=0).max():
+        displacement = problem.supports.constrained_part(
+            problem.X + share * (prescribed_positions - problem.X) - problem.x
+        )
+        if np.abs(displacement).max() <= ZERO_DISPLACEMENT * np.ptp(problem.X, axis=0).max():
             return problem
-        J_bar = problem.body.dilation(problem.X, problem.x)
+        J_bar = problem.body.volume_ratio(problem.X, problem.x)
         start = problem.unknowns(problem.x)
         tangent = problem.linearised(start, J_bar)
-        followed = tangent.solve(self._solver(problem), -problem.free_part(problem.drag(way)), CLOSE)
-        return replace(problem, x=problem.positions(start + followed) + way)
+        followed = tangent.solve(
+            self._solver(problem), -problem.free_part(problem.directional_derivative(displacement)), LINEAR_TOLERANCE
+        )
+        return replace(problem, x=problem.positions(start + followed) + displacement)
 
-    def _reaction(self, problem: _Problem, held_at: np.ndarray | None) -> float:
-        """Norm of the forces that hold a body whose held nodes have gone their way, to first order [mN]."""
-        if held_at is None:
+    def _reaction(self, problem: _Problem, prescribed_positions: np.ndarray | None) -> float:
+        """Return the norm of the support forces for the full displacement of constrained nodes, to first order [mN]."""
+        if prescribed_positions is None:
             return 0.0
-        way = problem.supports.held(held_at - problem.x)
-        followed = self._carried(problem, 1.0, held_at).x - problem.x
-        norms = [float(np.linalg.norm(problem.drag(moved))) for moved in (followed, way)]
-        return norms[0] + RIGID * norms[1]
+        displacement = problem.supports.constrained_part(prescribed_positions - problem.x)
+        followed = self._predicted(problem, 1.0, prescribed_positions).x - problem.x
+        norms = [float(np.linalg.norm(problem.directional_derivative(moved))) for moved in (followed, displacement)]
+        return norms[0] + RIGID_MOTION_WEIGHT * norms[1]
 
-    def _let_go(self, problem: _Problem, report: NewtonReport) -> _Path:
-        """Way from a shape that is near: what is out of balance there is held, and let go little by little."""
+    def _homotopy(self, problem: _Problem, report: NewtonReport) -> _Path:
+        """Return the path that starts at the initial guess of the problem and along which the residual is reduced to zero."""
 
         def advance(x: np.ndarray, share: float) -> np.ndarray:
-            held = (1.0 - share) * problem.out_of_balance if share < 1.0 else 0.0
-            return self._newton(replace(problem, x=x, held=held), report)
+            residual_offset = (1.0 - share) * problem.out_of_balance if share < 1.0 else 0.0
+            return self._newton(replace(problem, x=x, residual_offset=residual_offset), report)
 
         return _Path(problem.x, advance)
 
     def unloaded(self, body: Body, x: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, NewtonReport]:
-        """Find the unloaded shape of a body whose loaded shape is known.
+        """Solve for the unloaded shape of a body whose loaded shape is known.
 
         The discrete equilibrium equations are those of ``loaded``, solved for the reference positions (inverse
-        deformation, Govindjee & Mihalic 1996), so that loading the answer again gives the known shape back to the
-        solver's tolerance, if it is a stable equilibrium; ``is_stable`` of the report says whether it is (without pressure).
+        deformation, Govindjee & Mihalic 1996). Loading the result again therefore reproduces the known shape to the
+        solver's tolerance, if that shape is a stable equilibrium; ``is_stable`` of the report states this (without pressure).
 
         Parameters
         ----------
@@ -203,48 +223,52 @@ class Equilibrium:
         Raises
         ------
         ConvergenceError
-            With everything that was tried.
+            If no equilibrium is found, with the history of all attempts.
         """
         report = NewtonReport(tell=self.tell)
 
         def advance(X: np.ndarray, factor: float) -> np.ndarray:
             problem = _Problem(body, x, X, gravity, gravity, inverse=True)
-            return self._newton(replace(problem, beside=problem.pressing).under(factor, X), report)
+            return self._newton(
+                replace(problem, other_loads_norm=problem.pressure_load_norm).with_load_share(factor, X), report
+            )
 
-        X = ramp(advance, x, report, max_iterations=300)  # slender breasts hang far: many small steps
+        X = ramp(advance, x, report, max_iterations=300)  # slender breasts sag far and need many small steps
         problem = _Problem(body, X, x, gravity, gravity)
         if problem.is_symmetric:
-            tangent = problem.linearised(problem.unknowns(x), body.dilation(X, x))
+            tangent = problem.linearised(problem.unknowns(x), body.volume_ratio(X, x))
             report.is_stable = self._solver(problem).is_definite(tangent.matrix)
         if not report.is_stable:
-            report.history.append("the known shape is not a stable equilibrium of it: loaded again it goes elsewhere")
+            report.history.append("the known shape is not a stable equilibrium: loading again gives another shape")
         return X, report
 
     def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
-        """Newton on the unknown positions and volume ratios together, the ratios eliminated element by element.
+        """Solve by Newton's method for positions and volume ratios J_bar; return the positions (n_nodes, 3) [mm].
 
-        Carrying the volume ratio along keeps the pressure of a trial shape small, so the iteration bears large steps
-        however incompressible the tissue is.
+        The volume ratios are eliminated element by element.
+
+        Because they are independent unknowns, the pressure in a trial shape stays small, and large steps converge even for
+        nearly incompressible tissue.
         """
         body, n = problem.body, problem.supports.n_unknowns
-        shape = (body.frame.space.n_elements, body.frame.space.table.weight.size)
-        scale = problem.weight / np.sqrt(body.frame.total(np.prod(shape)))
+        shape = (body.discretization.space.n_elements, body.discretization.space.table.weight.size)
+        scale = problem.weight / np.sqrt(body.discretization.total(np.prod(shape)))
 
         def residual(z: np.ndarray) -> np.ndarray:
             shapes, J_bar = problem.shapes(z[:n]), z[n:].reshape(shape)
-            r = problem.free_part(body.residual(*shapes, problem.gravity, J_bar)) - problem.held
-            return np.concatenate([r, scale * (body.dilation(*shapes) - J_bar).ravel()])
+            r = problem.free_part(body.residual(*shapes, problem.gravity, J_bar)) - problem.residual_offset
+            return np.concatenate([r, scale * (body.volume_ratio(*shapes) - J_bar).ravel()])
 
         solver, tolerance = self._solver(problem), self.relative_tolerance * problem.weight
-        below = REUSE_BELOW if problem.beside == 0.0 else 0.0
+        below = REUSE_BELOW if problem.other_loads_norm == 0.0 else 0.0
 
         def norm(r: np.ndarray) -> float:
-            return body.frame.norm(r[:n], r[n:])
+            return body.discretization.norm(r[:n], r[n:])
 
-        kept = _Kept(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), below, tolerance, norm)
+        frozen = _FrozenTangent(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), below, tolerance, norm)
 
         def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
-            tangent, forcing = kept.at(z, r)
+            tangent, forcing = frozen.at(z, r)
             rates, gap = tangent.rates, r[n:].reshape(shape) / scale
             du = tangent.solve(solver, -(r[:n] + problem.free_part(body.volume_force(rates, gap))), forcing)
             dJ = body.volume_change(rates, problem.positions(z[:n] + du) - problem.positions(z[:n])) + gap
@@ -252,13 +276,13 @@ class Equilibrium:
 
         z = np.concatenate([problem.unknowns(problem.x), problem.volume_ratios.ravel()])
         z = newton(residual, step, z, tolerance=tolerance, report=report, norm=norm)
-        if kept.value is not None and problem.is_symmetric and not solver.is_definite(kept.value.matrix):
-            raise ConvergenceError("Newton found an equilibrium that is not stable.", ["found an unstable equilibrium"])
+        if frozen.value is not None and problem.is_symmetric and not solver.is_definite(frozen.value.matrix):
+            raise ConvergenceError("Newton's method found an unstable equilibrium.", ["found an unstable equilibrium"])
         _check_elements(body, *problem.shapes(z[:n]))
         return problem.positions(z[:n])
 
     def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
-        """Walk down the potential energy."""
+        """Minimise the potential energy, with random perturbations at saddle points; return positions (n_nodes, 3) [mm]."""
         body, solver = problem.body, LinearSolver(self._on)
 
         def energy(values: np.ndarray) -> float:
@@ -270,21 +294,23 @@ class Equilibrium:
         def step(values: np.ndarray, r: np.ndarray, damping: float) -> np.ndarray:
             x = problem.positions(values)
             damping *= max(np.linalg.norm(problem.gravity), 1.0)  # pyright: ignore[reportAssignmentType]
-            return problem.linearised(values, body.dilation(problem.X, x), damping).solve(solver, -r, CLOSE)
+            return problem.linearised(values, body.volume_ratio(problem.X, x), damping).solve(
+                solver, -r, LINEAR_TOLERANCE
+            )
 
         values, tolerance = problem.unknowns(problem.x), self.relative_tolerance * problem.weight
-        aside = np.random.Generator(np.random.Philox(0)).standard_normal(values.size)
-        aside *= ASIDE * np.ptp(problem.X, axis=0).max()
+        perturbation = np.random.Generator(np.random.Philox(0)).standard_normal(values.size)
+        perturbation *= SADDLE_PERTURBATION * np.ptp(problem.X, axis=0).max()
         try:
-            for _ in range(MOST_SADDLES):
+            for _ in range(MAX_SADDLES):
                 values = minimise(energy, residual, step, values, tolerance=tolerance, report=report)
-                matrix = problem.linearised(values, body.dilation(problem.X, problem.positions(values))).matrix
+                matrix = problem.linearised(values, body.volume_ratio(problem.X, problem.positions(values))).matrix
                 if solver.is_definite(matrix):
                     break
-                report.history.append("that way ended at an unstable equilibrium; on from beside it")
-                values = values + aside
+                report.history.append("reached an unstable equilibrium (saddle point); continuing beside it")
+                values = values + perturbation
             else:
-                raise ConvergenceError("No stable equilibrium was found.", ["every way down ended at a saddle"])
+                raise ConvergenceError("No stable equilibrium was found.", ["all minimisations ended at saddle points"])
         finally:
             self._retire(solver)
         _check_elements(body, *problem.shapes(values))
@@ -297,37 +323,52 @@ class Equilibrium:
 
 
 def _symmetric_part(matrix: sp.bsr_array) -> sp.bsr_array:
-    """Of a matrix whose pattern is symmetric; it keeps the pattern, with all its zeros."""
+    """Return the symmetric part of a matrix with symmetric sparsity pattern; the pattern is kept, with explicit zeros."""
     turned = sp.bsr_array(matrix.T, blocksize=matrix.blocksize)
     turned.sort_indices()
     return sp.bsr_array((0.5 * (matrix.data + turned.data), matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
-    """Refuse a shape that balances with an element turned inside out."""
-    turned = body.inside_out(X, x)
+    """Raise ConvergenceError for an equilibrium with inverted elements."""
+    turned = body.inverted_elements(X, x)
     if len(turned):
         where = "({}) mm".format(", ".join(f"{value:.1f}" for value in turned[0]))
         raise ConvergenceError(
-            f"{len(turned)} elements turn inside out, the first at {where}: tissue there would have to bear more than it can.",
-            [f"{len(turned)} elements inside out, the first at {where}"],
+            f"{len(turned)} elements are inverted, the first at {where}: the load there is more than the tissue can carry.",
+            [f"{len(turned)} inverted elements, the first at {where}"],
         )
 
 
 class _Path:
-    """A way to an equilibrium: advance(x, share of the way) -> x; remembers what was reached."""
+    """Sequence of problems that ends at the required equilibrium; ``reached`` is the last solution.
+
+    ``advance(x, share)`` solves the problem at a fraction ``share`` of the path, starting from x (n_nodes, 3) [mm].
+    """
 
     def __init__(self, start: np.ndarray, advance: Callable[[np.ndarray, float], np.ndarray]) -> None:
         self.reached, self._advance = start, advance
 
     def advance(self, x: np.ndarray, share: float) -> np.ndarray:
-        """Go on from x."""
+        """Solve at a fraction ``share`` of the path, starting from x; return and store the solution, both (n_nodes, 3) [mm]."""
         self.reached = self._advance(x, share)
         return self.reached
 
 
-class _Kept:
-    """A linearisation that is used again as long as it brings the residual down fast enough, and how exactly to solve with it."""
+class _FrozenTangent:
+    """Tangent of Newton's method that is recomputed only if it no longer reduces the residual fast enough.
+
+    Parameters
+    ----------
+    linearise : callable
+        Function that computes the tangent at given unknowns.
+    below : float
+        Factor by which a step must reduce the residual for the tangent to be reused; 0: compute it in every step.
+    tolerance : float
+        Bound on the norm of the residual at which the iteration ends.
+    norm : callable
+        Function that returns the norm of a residual.
+    """
 
     def __init__(
         self,
@@ -340,10 +381,10 @@ class _Kept:
         self.value, self._norm = None, np.inf
 
     def at(self, z: np.ndarray, r: np.ndarray) -> tuple[Any, float]:
-        """The linearisation to use at z, where the residual is r, and the forcing term.
+        """Return the tangent for the next step from the unknowns z, and the forcing term (tolerance) of its linear solve.
 
-        That is Eisenstat & Walker's (1996, choice 2) for a new one. With an old one the residual comes down in proportion,
-        however exactly the system is solved.
+        r is the residual at z. For a new tangent the forcing term is that of Eisenstat & Walker (1996, choice 2). A reused
+        tangent reduces the residual only by a constant factor, however accurately the system is solved.
         """
         norm = self._length(r)
         progress = norm / self._norm if np.isfinite(self._norm) else 1.0
@@ -352,17 +393,32 @@ class _Kept:
             self.value = None
             self.value = self._linearise(z)
         else:
-            exactly = 0.5 * progress  # it has changed by about 2 progress since it was made
-        forcing = np.clip(exactly, 0.1 * self._tolerance / norm, LOOSEST)
+            exactly = 0.5 * progress  # since it was computed, the tangent has changed by about 2 * progress
+        forcing = np.clip(exactly, 0.1 * self._tolerance / norm, MAX_FORCING)
         self._norm = norm
         return self.value, float(forcing)
 
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """One nonlinear solve: a body, the known shape X, the start x of the unknown one, gravity now and in full.
+    """Equations of equilibrium of a body, which determine its loaded shape from the unloaded one, or the reverse.
 
-    ``inverse``: the loaded shape is known and the unloaded one is not.
+    Parameters
+    ----------
+    body : Body
+        Tissue, skin, supports and pressure, the pressure at the current fraction of the load.
+    X : (n_nodes, 3) array [mm]
+        Positions in the known shape: the unloaded one, or the loaded one if ``inverse``.
+    x : (n_nodes, 3) array [mm]
+        Initial guess of the positions in the unknown shape.
+    gravity, full : (3,) arrays [mm/s^2]
+        Acceleration at the current fraction of the load, and at full load.
+    residual_offset : (n_unknowns,) array [mN/mm] or 0
+        Value that the residual must reach; it is reduced to zero in steps.
+    inverse : bool
+        If True, solve for the unloaded shape.
+    other_loads_norm : float [mN]
+        Norm of the loads other than gravity, at full load.
     """
 
     body: Body
@@ -370,63 +426,63 @@ class _Problem:
     x: np.ndarray
     gravity: np.ndarray
     full: np.ndarray
-    held: np.ndarray | float = 0.0  # force on the free degrees of freedom that still holds the body back
+    residual_offset: np.ndarray | float = 0.0
     inverse: bool = False
-    beside: float = 0.0  # norm of the loads beside gravity, in full [mN]
+    other_loads_norm: float = 0.0
 
     @property
     def in_plane(self) -> bool:
-        """Nothing pulls along a section's normal."""
-        return self.body.frame.space.n_axes == 2 and bool(self.full[2] == 0.0)
+        """True for a section without gravity along its normal, whose unknowns are the in-plane components only."""
+        return self.body.discretization.space.n_axes == 2 and bool(self.full[2] == 0.0)
 
     @property
     def supports(self) -> Supports:
-        """What is held, and what is solved for."""
-        return self.body.frame.supports(self.in_plane)
+        """Map between the nodal degrees of freedom and the unknowns of the equations."""
+        return self.body.discretization.supports(self.in_plane)
 
-    def under(self, share: float, x: np.ndarray) -> _Problem:
-        """The same under a share of the loads, from the shape x."""
-        return replace(self, body=self.body.under(share), x=x, gravity=share * self.full)
+    def with_load_share(self, share: float, x: np.ndarray) -> _Problem:
+        """Return the problem under a fraction ``share`` of the loads, with initial guess x."""
+        return replace(self, body=self.body.with_pressure_share(share), x=x, gravity=share * self.full)
 
     @property
-    def pressing(self) -> float:
-        """Norm of the forces of pressure [mN]."""
+    def pressure_load_norm(self) -> float:
+        """Euclidean norm of the nodal forces that the pressure exerts on the known shape [mN]; 0 without pressure."""
         if self.body.pressure is None:
             return 0.0
         return float(np.linalg.norm(self.free_part(self.body.residual(self.X, self.X, np.zeros(3)))))
 
-    def drag(self, way: np.ndarray) -> np.ndarray:
-        """Change of the residual when nodes move a way (n_nodes, 3) [mm], to first order -> (n_nodes, 3) [mN]."""
-        step = DRAG_STEP * np.ptp(self.X, axis=0).max() / max(np.abs(way).max(), 1e-300)
-        there, back = (self.body.residual(self.X, self.x + s * way, self.gravity) for s in (step, -step))
+    def directional_derivative(self, direction: np.ndarray) -> np.ndarray:
+        """Return the directional derivative of the residual along ``direction`` (n_nodes, 3) [mm] -> (n_nodes, 3) [mN]."""
+        step = FD_STEP * np.ptp(self.X, axis=0).max() / max(np.abs(direction).max(), 1e-300)
+        there, back = (self.body.residual(self.X, self.x + s * direction, self.gravity) for s in (step, -step))
         return (there - back) / (2.0 * step)
 
     @cached_property
     def weight(self) -> float:
-        """Norm of the nodal weights [mN/mm]: what the residual is measured against."""
+        """Euclidean norm of the nodal weights and other loads at full load [mN/mm], to which the residual is compared."""
         mass = self.body.lumped_mass(self.X)
-        return float(np.hypot(np.linalg.norm(mass) * max(np.linalg.norm(self.full), 1.0), self.beside))
+        return float(np.hypot(np.linalg.norm(mass) * max(np.linalg.norm(self.full), 1.0), self.other_loads_norm))
 
     @cached_property
     def volume_ratios(self) -> np.ndarray:
-        """Volume ratios to start from: those of x, but not far from rest (n_elements, n_qp) [1]."""
-        return self.body.starting_dilation(*self._ordered(self.x))
+        """Initial guess of J_bar: volume ratios of the shape x, clipped to near stress-free (n_elements, n_qp) [1]."""
+        return self.body.initial_volume_ratio(*self._ordered(self.x))
 
     @cached_property
     def out_of_balance(self) -> np.ndarray:
-        """Residual at the start x [mN/mm]."""
+        """Residual at the initial guess x, for the unknowns (n_unknowns,) [mN/mm]."""
         return self.free_part(self.body.residual(*self._ordered(self.x), self.gravity, self.volume_ratios))
 
     def positions(self, values: np.ndarray) -> np.ndarray:
-        """All positions (n_nodes, 3) from the unknowns."""
+        """Return the positions of all nodes from the unknowns: (n_unknowns,) -> (n_nodes, 3) [mm]."""
         return self.supports.positions(values, self.x)
 
     def unknowns(self, x: np.ndarray) -> np.ndarray:
-        """What is solved for, of positions x (n_nodes, 3)."""
+        """Return the unknowns that correspond to positions x: (n_nodes, 3) [mm] -> (n_unknowns,)."""
         return self.supports.unknowns(x)
 
     def shapes(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Unloaded and loaded positions from the unknowns."""
+        """Return the unloaded and the loaded positions from the unknowns: (n_unknowns,) -> two (n_nodes, 3) [mm]."""
         return self._ordered(self.positions(values))
 
     def _ordered(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -434,11 +490,15 @@ class _Problem:
 
     @property
     def is_symmetric(self) -> bool:
-        """Whether the tangent is: forces have a potential, and it is the loaded shape that is looked for."""
+        """True if the tangent matrix is symmetric: the forces derive from a potential, and the loaded shape is the unknown."""
         return not self.inverse and self.body.has_potential
 
     def linearised(self, values: np.ndarray, J_bar: np.ndarray, damping: float = 0.0) -> _Tangent:
-        """Derivatives by the unknown shape and the volume ratios."""
+        """Return the linearisation of the residual with respect to the unknown shape and the volume ratios J_bar.
+
+        It is evaluated at the unknowns ``values`` (n_unknowns,) and J_bar (n_elements, n_qp) [1]; ``damping`` times the nodal
+        mass is added to its diagonal if the loaded shape is the unknown.
+        """
         shapes, in_plane = self.shapes(values), self.in_plane
         if self.inverse:
             matrix, rates = self.body.linearised_reference(*shapes, J_bar, self.gravity, in_plane=in_plane)
@@ -448,7 +508,7 @@ class _Problem:
             pullback = Pullback.loaded(self.body, shapes[1])
 
         def near() -> sp.bsr_array:
-            """By the loaded shape, whatever is looked for, and without pressure; the symmetric part."""
+            """Return the symmetric part of the tangent with respect to loaded positions, without pressure."""
             body = replace(self.body, pressure=None)
             matrix, _ = body.linearised(*shapes, J_bar, in_plane=in_plane)
             if not body.has_potential:
@@ -458,31 +518,33 @@ class _Problem:
         return _Tangent(self._pulled_back(matrix, pullback), rates, pullback, self, None if self.is_symmetric else near)
 
     def _pulled_back(self, matrix: sp.bsr_array, pullback: Pullback) -> sp.bsr_array:
-        return self.supports.matrix(pullback.matrix(matrix, self.body.frame.free_nodes))
+        return self.supports.matrix(pullback.matrix(matrix, self.body.discretization.free_nodes))
 
     def free_part(self, forces: np.ndarray) -> np.ndarray:
-        """Forces (n_nodes, 3) on the unknowns, 0 where no tissue holds the node."""
+        """Restrict nodal forces to the unknowns, with 0 at nodes without tissue: (n_nodes, 3) -> (n_unknowns,)."""
         return self.supports.unknowns(np.where(self.body.active_nodes[:, None], forces, 0.0))
 
     def spread(self, values: np.ndarray) -> np.ndarray:
-        """Vectors (n_nodes, 3) of what is on the unknowns, 0 along what is held."""
+        """Expand values of the unknowns to nodal vectors, with 0 in constrained components: (n_unknowns,) -> (n_nodes, 3)."""
         return self.supports.positions(values, np.zeros_like(self.X))
 
 
 class _Tangent(NamedTuple):
-    """First order of a problem about a shape."""
+    """Linearised equations of equilibrium about a shape, in the variables of :class:`.pullback.Pullback`."""
 
     matrix: sp.bsr_array
-    """Of the pulled-back system."""
+    """Matrix of the linear system after the change of variables (n_unknowns, n_unknowns)."""
     rates: VolumeRates
+    """Coupling of the positions to the volume ratios J_bar."""
     pullback: Pullback
+    """Change of variables that gives ``matrix``."""
     problem: _Problem
     near: Callable[[], sp.bsr_array] | None
-    """Makes a symmetric matrix that is near, where this one is not symmetric."""
+    """Function that returns a symmetric matrix close to ``matrix``, for the preconditioner; None if ``matrix`` is symmetric."""
 
     def solve(self, solver: LinearSolver, forces: np.ndarray, tolerance: float) -> np.ndarray:
-        """Step of the unknowns that these forces on them make."""
-        problem, (ways, turned) = self.problem, (self.pullback.ways, self.pullback.forces)
-        rhs = problem.supports.unknowns((turned @ problem.spread(forces)[..., None])[..., 0])
+        """Solve K du = forces to a relative tolerance, with K in the original variables: forces, du (n_unknowns,)."""
+        problem, (right, left) = self.problem, (self.pullback.right, self.pullback.left)
+        rhs = problem.supports.unknowns((left @ problem.spread(forces)[..., None])[..., 0])
         found = solver.solve(self.matrix, rhs, tolerance, self.near)
-        return problem.supports.unknowns((ways @ problem.spread(found)[..., None])[..., 0])
+        return problem.supports.unknowns((right @ problem.spread(found)[..., None])[..., 0])

@@ -1,44 +1,48 @@
-"""Carry a deformation into the open cavity, where there is no tissue to compute it."""
+"""Extension of the displacement field from the tissue into the cavity, where there is no tissue."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from ..numerics.linear import LinearSolver
-from .body import PIECE, Frame
+from .body import PIECE, Discretization
 from .pattern import Pattern
 from .space import Table
 
-ACCURACY = 1e-12  # of the linear solve, relative to the forces that tissue exerts
+ACCURACY = 1e-12  # tolerance of the linear solve, relative to its right-hand side
 
 
 class Extension:
-    """Smooth continuation of displacements into elements that no tissue fills.
+    """Smooth extension of displacements into elements without tissue.
 
-    A compressible linear elastic filling of the open elements follows the tissue and never acts on it: its nodes are
-    solved for afterwards, with the tissue's nodes given. It gives new tissue the deformation that it is born with, and
-    pictures the shape of the cavity.
+    These elements are filled with a fictitious compressible linear elastic material. Its displacements are computed
+    after those of the tissue, with the latter as boundary values, so it exerts no force on the tissue. The result gives the
+    deformation at which new tissue is deposited, and the shape of the cavity in figures.
 
     Parameters
     ----------
-    frame : Frame
+    discretization : Discretization
         Space and supports.
     X : (n_nodes, 3) array [mm]
         Unloaded positions.
     """
 
-    def __init__(self, frame: Frame, X: np.ndarray) -> None:
-        self._frame, self._X = frame, X
+    def __init__(self, discretization: Discretization, X: np.ndarray) -> None:
+        self._discretization, self._X = discretization, X
 
     def fill(self, x: np.ndarray, fraction: np.ndarray) -> np.ndarray:
-        """Positions with the open nodes moved along: x (n_nodes, 3) [mm], fraction (n_elements,) -> (n_nodes, 3) [mm]."""
-        space = self._frame.space
-        held = np.zeros(space.n_nodes, bool)
-        held[space.element_nodes[fraction > 0.0]] = True
-        held[self._frame.fixed_nodes] = True
-        if held.all():
+        """Return positions whose displacements are extended to the nodes outside the tissue (n_nodes, 3) [mm].
+
+        x (n_nodes, 3) [mm] are the deformed positions; those of tissue nodes and of fixed nodes stay as given. ``fraction``
+        (n_elements,) [1] is the fraction of each element that is tissue; elements with 0 get the fictitious material.
+        """
+        space = self._discretization.space
+        is_constrained = np.zeros(space.n_nodes, bool)
+        is_constrained[space.element_nodes[fraction > 0.0]] = True
+        is_constrained[self._discretization.fixed_nodes] = True
+        if is_constrained.all():
             return x
-        cells, nodes = space.element_nodes[fraction == 0.0], np.flatnonzero(~held)
+        cells, nodes = space.element_nodes[fraction == 0.0], np.flatnonzero(~is_constrained)
         pattern = Pattern([cells], nodes, space.n_nodes)
         data, force, u = pattern.zeros(), np.zeros_like(x), x - self._X
         u[nodes] = 0.0
@@ -55,11 +59,11 @@ class Extension:
 
 
 def _linear_stiffness(X: np.ndarray, table: Table) -> np.ndarray:
-    """Matrices of an elastic filling with both Lame constants 1: X (n, a, 3) [mm] -> (n, 3a, 3a)."""
+    """Return stiffness matrices of linear elasticity with both Lame constants 1: X (n, a, 3) [mm] -> (n, 3a, 3a)."""
     n_axes = table.gradient.shape[-1]
     maps = np.einsum("eai,qab->eqib", X[..., :n_axes], table.gradient)
     grad = np.einsum("qab,eqbJ->eqaJ", table.gradient, np.linalg.inv(maps))
-    grad = np.pad(grad, [(0, 0)] * 3 + [(0, 3 - n_axes)])  # nothing changes along a normal
+    grad = np.pad(grad, [(0, 0)] * 3 + [(0, 3 - n_axes)])  # no gradient along a section's normal
     weights = table.weight * np.abs(np.linalg.det(maps))
     products = np.einsum("eq,eqaJ,eqbK->eaJbK", weights, grad, grad, optimize=True)
     laplacian = np.einsum("eaJbJ->eab", products)[:, :, None, :, None] * np.eye(3)[:, None, :]

@@ -1,9 +1,10 @@
-"""The linear systems of a deformed body as seen from the shape that its mesh was made in, where they change little.
+"""Change of variables in the linear systems of a deforming body, to displacements in the original shape of its mesh.
 
-A deformation turns and shears the directions in which tissue is nearly incompressible, and so a factor of one shape's
-tangent K0 is a poor preconditioner of another's, K. But a displacement that keeps the volume in the mesh's own shape
-keeps it still once the deformation has carried it along, dx = G dY (Piola's identity), and so G^T K G is near K0, at a
-Poisson ratio of 0.4999 too; docs/decisions/0003 has what that is worth.
+The transformed matrices change little as the body deforms. A deformation rotates and shears the directions in which tissue
+is nearly incompressible, so the factor of the tangent K0 of one shape is a poor preconditioner for the tangent K of another
+shape. A displacement dY that preserves the volume in the original shape still does so after push-forward by the deformation
+gradient G, dx = G dY (Piola's identity). Therefore G^T K G is close to K0, even at a Poisson ratio of 0.4999. Measured
+gain: docs/decisions/0003.
 """
 
 from __future__ import annotations
@@ -18,29 +19,32 @@ from .body import Body
 from .elements import NORMAL
 from .space import AnySpace
 
-BELIEVED = (0.3, 3.0)  # volume ratio about a node within which its deformation is carried along
+VOLUME_RATIO_RANGE = (0.3, 3.0)  # range of the nodal volume ratio in which the nodal deformation is used
 
 
 def nodal_deformation(body: Body, X: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Deformation gradient about each node: X, x (n_nodes, 3) [mm] -> (n_nodes, 3, 3) [1].
+    """Return a deformation gradient at each node: X, x (n_nodes, 3) [mm] -> (n_nodes, 3, 3) [1].
 
-    The mean over the tissue elements that meet there, taken at their centres. It is the identity where there is no tissue,
-    where the mean's volume ratio is out of all proportion, and at nodes that slide, whose direction is their wall's.
+    The gradient is the mean over the adjacent tissue elements, evaluated at their centres. It is replaced by the identity where
+    there is no tissue or the volume ratio of the mean is extreme, and at sliding nodes, to preserve their constrained directions.
     """
-    frame = body.frame
-    cells, n = frame.space.element_nodes[body.fraction > 0.0], frame.space.n_nodes
-    F = _centre_map(frame.space, x[cells]) @ np.linalg.inv(_centre_map(frame.space, X[cells]))
+    discretization = body.discretization
+    cells, n = discretization.space.element_nodes[body.fraction > 0.0], discretization.space.n_nodes
+    F = _centre_map(discretization.space, x[cells]) @ np.linalg.inv(_centre_map(discretization.space, X[cells]))
     columns = np.concatenate([F.reshape(-1, 9), np.ones((len(F), 1))], axis=1).repeat(cells.shape[1], axis=0)
-    sums = frame.ranks.sum(np.stack([np.bincount(cells.ravel(), column, n) for column in columns.T], axis=1))
+    sums = discretization.ranks.sum(np.stack([np.bincount(cells.ravel(), column, n) for column in columns.T], axis=1))
     mean = (sums[:, :9] / np.maximum(sums[:, 9:], 1.0)).reshape(-1, 3, 3)
     volume = np.linalg.det(mean)
-    mean[~((volume > BELIEVED[0]) & (volume < BELIEVED[1]))] = np.eye(3)
-    mean[frame.sliding_nodes] = np.eye(3)
+    mean[~((volume > VOLUME_RATIO_RANGE[0]) & (volume < VOLUME_RATIO_RANGE[1]))] = np.eye(3)
+    mean[discretization.sliding_nodes] = np.eye(3)
     return mean
 
 
 def _centre_map(space: AnySpace, x: np.ndarray) -> np.ndarray:
-    """Derivative of position by the local axes, and a section's normal, at the centres: x (n, a, 3) -> (n, 3, 3) [mm]."""
+    """Return the derivative of position with respect to local coordinates at element centres: x (n, a, 3) -> (n, 3, 3) [mm].
+
+    In a section the third column is its unit normal.
+    """
     columns = np.einsum("eai,ab->eib", x, space.table.gradient.mean(axis=0))
     if space.n_axes == 3:
         return columns
@@ -49,34 +53,37 @@ def _centre_map(space: AnySpace, x: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class Pullback:
-    """What turns K dx = f into a system for dY.
+    """Change of variables that turns K dx = f into a system for dY.
 
     Parameters
     ----------
-    ways : (n_nodes, 3, 3) array [1]
-        dx = ways dY.
-    forces : (n_nodes, 3, 3) array [1]
-        They turn f.
+    right : (n_nodes, 3, 3) array [1]
+        Nodal matrices that map the new unknowns: dx = right dY.
+    left : (n_nodes, 3, 3) array [1]
+        Nodal matrices applied to the equations: (left K right) dY = left f.
     """
 
-    ways: np.ndarray
-    forces: np.ndarray
+    right: np.ndarray
+    left: np.ndarray
 
     @classmethod
     def loaded(cls, body: Body, x: np.ndarray) -> Pullback:
-        """Of the derivative by the loaded positions x (n_nodes, 3) [mm]: symmetric stays symmetric."""
-        G = nodal_deformation(body, body.frame.space.positions, x)
+        """Return the pull-back for the derivative with respect to loaded positions x (n_nodes, 3) [mm]; it preserves symmetry."""
+        G = nodal_deformation(body, body.discretization.space.positions, x)
         return cls(G, G.transpose(0, 2, 1))
 
     @classmethod
     def unloaded(cls, body: Body, X: np.ndarray, x: np.ndarray) -> Pullback:
-        """Of the derivative by the unloaded positions X, x held: moving X by dX is near to moving x by -F dX."""
+        """Return the pull-back for the derivative with respect to unloaded positions X at fixed x.
+
+        A change dX of X has nearly the same effect as a change -F dX of x.
+        """
         at_x = cls.loaded(body, x)
-        return cls(-np.linalg.inv(nodal_deformation(body, X, x)) @ at_x.ways, at_x.forces)
+        return cls(-np.linalg.inv(nodal_deformation(body, X, x)) @ at_x.right, at_x.left)
 
     def matrix(self, matrix: sp.bsr_array, nodes: np.ndarray) -> sp.bsr_array:
-        """Turn the blocks of a matrix whose rows are those of ``nodes`` (n_free,); in place."""
+        """Return left K right for a matrix K whose block rows belong to ``nodes`` (n_free,); K is changed in place."""
         b = matrix.blocksize[0]
-        left, right = (np.ascontiguousarray(part[nodes, :b, :b]) for part in (self.forces, self.ways))
+        left, right = (np.ascontiguousarray(part[nodes, :b, :b]) for part in (self.left, self.right))
         turn_blocks(matrix.data, matrix.indptr, matrix.indices, left, right)
         return matrix

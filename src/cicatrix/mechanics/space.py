@@ -17,21 +17,21 @@ class Table:
     """Shape functions of a reference element at its quadrature points."""
 
     value: np.ndarray
-    """(n_qp, n_shape) [1]"""
+    """Values (n_qp, n_shape) [1]."""
     gradient: np.ndarray
-    """(n_qp, n_shape, n_local_axes) [1]"""
+    """Derivatives with respect to local coordinates (n_qp, n_shape, n_local_axes) [1]."""
     weight: np.ndarray
-    """(n_qp,) [1]"""
+    """Quadrature weights (n_qp,) [1]."""
     points: np.ndarray
-    """(n_qp, n_local_axes) local coordinates [1]"""
+    """Local coordinates of the quadrature points (n_qp, n_local_axes) [1]."""
     volume: np.ndarray
-    """(n_qp, n_volume) what the volume ratio of an element is made of [1]"""
+    """Basis functions of the projected volume ratio (n_qp, n_volume) [1]."""
 
 
 def tabulate(element: skfem.Element, local: np.ndarray, weight: np.ndarray, *, linear_volume: bool = False) -> Table:
     """Evaluate the element's shape functions at local points (n_local_axes, n_qp).
 
-    The volume ratio of an element is constant, or linear.
+    The basis of the projected volume ratio is constant in an element, or linear with ``linear_volume``.
     """
     n_shape = len(element.doflocs)
     both = [element.lbasis(local, i) for i in range(n_shape)]
@@ -46,16 +46,17 @@ def tabulate(element: skfem.Element, local: np.ndarray, weight: np.ndarray, *, l
 class Space:
     """Plane section: P2 triangles with a cubic bubble on a straight-sided mesh, three displacement components.
 
-    Nodes are coefficients: vertices, then edge midpoints, then one bubble per triangle (hierarchical: 0 where the
-    geometry is straight). Positions and displacements are (n_nodes, 3) arrays over the same nodes; the third
-    component is the shift out of the plane, so that gravity may point anywhere.
+    Nodal values are coefficients of the shape functions: those of vertices, then of edge midpoints, then of one bubble per
+    triangle (0 for straight geometry, since the bubble is added to the P2 functions). Positions and displacements are
+    (n_nodes, 3) arrays over the same nodes; the third component is the out-of-plane displacement, so that gravity may have
+    any direction.
 
     Parameters
     ----------
     mesh : skfem.MeshTri
         Vertices in the section's own axes [mm].
     quadrature_order : int
-        Polynomial degree the rule in each triangle is exact for.
+        Polynomial degree for which the quadrature rule of each triangle is exact.
     """
 
     mesh: skfem.MeshTri
@@ -63,7 +64,7 @@ class Space:
 
     @property
     def kind(self) -> tuple:
-        """Equal for spaces with equal tables."""
+        """Hashable key of element type and quadrature order; spaces with equal keys have equal tables."""
         return "section", self.quadrature_order
 
     @cached_property
@@ -77,7 +78,7 @@ class Space:
 
     @property
     def n_nodes(self) -> int:
-        """Number of coefficient nodes."""
+        """Number of nodes: vertices, edge midpoints and bubbles."""
         return self._dofs.N
 
     @property
@@ -98,14 +99,14 @@ class Space:
 
     @cached_property
     def positions(self) -> np.ndarray:
-        """Coefficients of the identity map (n_nodes, 3) [mm]."""
+        """Positions of the undeformed mesh as nodal coefficients, 0 for bubbles (n_nodes, 3) [mm]."""
         out = np.zeros((self.n_nodes, 3))
         out[self._dofs.nodal_dofs[0], :2] = self.mesh.p.T
         out[self._dofs.facet_dofs[0], :2] = self.mesh.p[:, self.mesh.facets].mean(axis=1).T
         return out
 
     def facet_nodes(self, facets: np.ndarray) -> np.ndarray:
-        """Nodes of mesh edges: facet numbers (n,) -> (n, 3) vertex, vertex, midpoint."""
+        """Return the nodes of edges with given numbers: (n,) -> (n, 3) vertex, vertex, midpoint."""
         ends = self._dofs.nodal_dofs[0][self.mesh.facets[:, facets]]
         return np.column_stack([ends.T, self._dofs.facet_dofs[0][facets]])
 
@@ -116,7 +117,7 @@ class Space:
 
     @cached_property
     def corner_table(self) -> Table:
-        """Shape functions that are linear between the corners, at the same quadrature points."""
+        """Linear shape functions of the corners, at the same quadrature points."""
         return tabulate(skfem.ElementTriP1(), *get_quadrature(skfem.MeshTri.elem, self.quadrature_order))
 
     @property
@@ -126,22 +127,22 @@ class Space:
 
     @property
     def n_axes(self) -> int:
-        """Axes that the elements lie in."""
+        """Number of spatial axes of the elements."""
         return 2
 
     @property
-    def shape_nodes(self) -> np.ndarray:
-        """Nodes at which each triangle is (n_elements, 6): all but the bubble; they are the first ``n_shape_nodes``."""
+    def geometric_nodes(self) -> np.ndarray:
+        """Geometric nodes of each triangle (n_elements, 6), all but the bubble; their numbers are below ``n_geometric_nodes``."""
         return self.element_nodes[:, :6]
 
     @property
-    def n_shape_nodes(self) -> int:
-        """Number of nodes that are places."""
+    def n_geometric_nodes(self) -> int:
+        """Number of geometric nodes: vertices and edge midpoints."""
         return int(self.bubbles[0])
 
     @cached_property
     def neighbours(self) -> np.ndarray:
-        """Elements on both sides of each inner edge (2, n_edges)."""
+        """Elements on either side of each inner edge (2, n_edges)."""
         return self.mesh.f2t[:, self.mesh.f2t[1] >= 0]
 
 
@@ -149,18 +150,18 @@ class Space:
 class SolidSpace:
     """Solid: P2 tetrahedra, straight or curved (the geometry is quadratic too).
 
-    With the four points of the default rule this is the plain quadratic element that other codes have, until tissue becomes
-    so incompressible that it would lock: see :func:`.elements.kept_share` and docs/decisions/0013.
+    With the four points of the default rule this is the standard quadratic element of other codes, except for tissue so
+    nearly incompressible that it would lock: see :func:`.elements.fluctuation_fraction` and docs/decisions/0013.
 
     Parameters
     ----------
     positions : (n_nodes, 3) array [mm]
-        Where the mesh has its nodes.
+        Positions of the nodes.
     element_nodes : (n_elements, 10) int array
-        Corners, then the middles of the edges 01, 12, 02, 03, 13, 23 (the order of VTK); corner 3 lies on the side of
+        Corners, then midpoints of the edges 01, 12, 02, 03, 13, 23 (the order of VTK); corner 3 lies on the side of
         the face 012 that its right-handed normal points to.
     quadrature_order : int
-        Polynomial degree the rule in each tetrahedron is exact for.
+        Polynomial degree for which the quadrature rule of each tetrahedron is exact.
     """
 
     positions: np.ndarray
@@ -169,7 +170,7 @@ class SolidSpace:
 
     @property
     def kind(self) -> tuple:
-        """Equal for spaces with equal tables."""
+        """Hashable key of element type and quadrature order; spaces with equal keys have equal tables."""
         return "solid", self.quadrature_order
 
     @property
@@ -190,9 +191,9 @@ class SolidSpace:
 
     @cached_property
     def facet_table(self) -> Table:
-        """Shape functions of a boundary face (corners, then the middles of the edges 01, 12, 02).
+        """Shape functions of a boundary face (corners, then midpoints of the edges 01, 12, 02) at its quadrature points.
 
-        The rule is exact for pressure on a curved face; with less its forces would be those of no potential.
+        The quadrature is exact for pressure on a curved face; with a lower order the forces would not derive from a potential.
         """
         return tabulate(skfem.ElementTriP2(), *get_quadrature(skfem.MeshTri.elem, 4))
 
@@ -202,12 +203,12 @@ class SolidSpace:
         return boundary(self.element_nodes)
 
     def facet_nodes(self, facets: np.ndarray) -> np.ndarray:
-        """Nodes of boundary faces by their numbers (n,) -> (n, 6)."""
+        """Nodes of the boundary faces with given numbers: (n,) -> (n, 6)."""
         return self.boundary[facets]
 
     @cached_property
     def corner_table(self) -> Table:
-        """Shape functions that are linear between the corners, at the same quadrature points."""
+        """Linear shape functions of the corners, at the same quadrature points."""
         return tabulate(skfem.ElementTetP1(), *get_quadrature(skfem.MeshTet.elem, self.quadrature_order))
 
     @property
@@ -217,37 +218,37 @@ class SolidSpace:
 
     @property
     def n_axes(self) -> int:
-        """Axes that the elements lie in."""
+        """Number of spatial axes of the elements."""
         return 3
 
     @property
-    def shape_nodes(self) -> np.ndarray:
-        """Nodes at which each tetrahedron is (n_elements, 10): all of them."""
+    def geometric_nodes(self) -> np.ndarray:
+        """Geometric nodes of each tetrahedron (n_elements, 10): all its nodes."""
         return self.element_nodes
 
     @property
-    def n_shape_nodes(self) -> int:
-        """Number of nodes that are places."""
+    def n_geometric_nodes(self) -> int:
+        """Number of geometric nodes: all nodes."""
         return self.n_nodes
 
     @cached_property
     def neighbours(self) -> np.ndarray:
-        """Elements on both sides of each inner face (2, n_faces)."""
+        """Elements on either side of each inner face (2, n_faces)."""
         return neighbours(self.element_nodes)
 
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """Flat sheet: bilinear quadrilaterals, for tissue whose law keeps its own volume by its thickness, so that nothing locks.
+    """Flat sheet of bilinear quadrilaterals, for laws that preserve volume by adapting the thickness, which avoids locking.
 
     Parameters
     ----------
     positions : (n_nodes, 3) array [mm]
-        Where the mesh has its nodes; the third is 0.
+        Positions of the nodes; the third component is 0.
     element_nodes : (n_elements, 4) int array
-        Corners, one after the other around each quadrilateral.
+        Corners of each quadrilateral, in order around it.
     quadrature_order : int
-        Polynomial degree along each side that the rule is exact for.
+        Polynomial degree along each side for which the quadrature rule is exact.
     """
 
     positions: np.ndarray
@@ -256,7 +257,7 @@ class Sheet:
 
     @property
     def kind(self) -> tuple:
-        """Equal for spaces with equal tables."""
+        """Hashable key of element type and quadrature order; spaces with equal keys have equal tables."""
         return "sheet", self.quadrature_order
 
     @property
@@ -276,7 +277,7 @@ class Sheet:
 
     @property
     def corner_table(self) -> Table:
-        """The same: all nodes are corners."""
+        """Same as ``table``, since all nodes are corners."""
         return self.table
 
     @property
@@ -297,27 +298,27 @@ class Sheet:
         return edges[count == 1]
 
     def facet_nodes(self, facets: np.ndarray) -> np.ndarray:
-        """Nodes of boundary edges by their numbers (n,) -> (n, 2)."""
+        """Nodes of the boundary edges with given numbers: (n,) -> (n, 2)."""
         return self.boundary[facets]
 
     @property
     def n_axes(self) -> int:
-        """Axes that the elements lie in."""
+        """Number of spatial axes of the elements."""
         return 2
 
     @property
-    def shape_nodes(self) -> np.ndarray:
-        """Nodes at which each quadrilateral is (n_elements, 4): all of them."""
+    def geometric_nodes(self) -> np.ndarray:
+        """Geometric nodes of each quadrilateral (n_elements, 4): all its nodes."""
         return self.element_nodes
 
     @property
-    def n_shape_nodes(self) -> int:
-        """Number of nodes that are places."""
+    def n_geometric_nodes(self) -> int:
+        """Number of geometric nodes: all nodes."""
         return self.n_nodes
 
     @cached_property
     def neighbours(self) -> np.ndarray:
-        """Elements on both sides of each inner edge (2, n_edges)."""
+        """Elements on either side of each inner edge (2, n_edges)."""
         sides = np.sort(self.element_nodes[:, [[0, 1], [1, 2], [2, 3], [3, 0]]].reshape(-1, 2), axis=1)
         owner = np.repeat(np.arange(self.n_elements), 4)
         order = np.lexsort(sides.T)

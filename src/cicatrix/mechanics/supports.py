@@ -1,4 +1,4 @@
-"""What is left to solve for when nodes are held at their places, or slide along walls."""
+"""Elimination of the constrained components of fixed nodes and of nodes that slide along walls."""
 
 from __future__ import annotations
 
@@ -8,25 +8,25 @@ import skfem
 
 from .space import SolidSpace, tabulate
 
-PARALLEL = 0.05  # share of a node's walls (mean of squared cosines) that a direction must have to be held
+PARALLEL = 0.05  # a direction is constrained if its mean squared cosine with the face normals at a node exceeds this
 CORNERS_AND_MIDDLES = np.array(
     [[0.0, 1.0, 0.0, 0.5, 0.5, 0.0], [0.0, 0.0, 1.0, 0.0, 0.5, 0.5]]
-)  # local coordinates of a face
+)  # local coordinates of the six nodes of a face
 
 
 class Supports:
-    """Unknowns of a body: components of position along axes that are its own at nodes that slide.
+    """Map between degrees of freedom and unknowns; at sliding nodes, unknowns are components along unconstrained axes.
 
     Parameters
     ----------
     free : (n_free,) int array
         Degrees of freedom (3 node + component) of nodes that are not fixed, ascending.
     sliding_nodes : (m,) int array
-        Nodes held along a direction, and free across it; a node may be there several times.
+        Nodes constrained along one direction and free to move normal to it; a node may be listed several times.
     normals : (m, 3) array [1]
-        The directions, of length 1.
+        Unit vectors of these directions.
     n_dofs : int
-        Number of all degrees of freedom.
+        Total number of degrees of freedom.
     """
 
     def __init__(self, free: np.ndarray, sliding_nodes: np.ndarray, normals: np.ndarray, n_dofs: int) -> None:
@@ -36,12 +36,12 @@ class Supports:
         self.n_unknowns = free.size if self._axes is None else self._axes.shape[1]
 
     def unknowns(self, x: np.ndarray) -> np.ndarray:
-        """Unknowns of positions, or of forces: (n_nodes, 3) -> (n_unknowns,)."""
+        """Return the unknowns of positions, or of forces: (n_nodes, 3) -> (n_unknowns,)."""
         values = x.reshape(-1)[self._free]
         return values if self._axes is None else self._axes.T @ values
 
     def positions(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Positions with these unknowns (n_unknowns,), and what is held where x (n_nodes, 3) has it [mm]."""
+        """Return positions [mm] with given unknowns (n_unknowns,); constrained components are those of x (n_nodes, 3)."""
         out = x.copy()
         if self._axes is None:
             out.reshape(-1)[self._free] = values
@@ -49,16 +49,16 @@ class Supports:
             out.reshape(-1)[self._free] += self._axes @ (values - self.unknowns(x))
         return out
 
-    def held(self, x: np.ndarray) -> np.ndarray:
-        """Part of vectors (n_nodes, 3) along what is held; 0 along what is free."""
+    def constrained_part(self, x: np.ndarray) -> np.ndarray:
+        """Return the constrained components of vectors (n_nodes, 3), with 0 in free components."""
         return self.positions(np.zeros(self.n_unknowns), x)
 
     def matrix(self, matrix: sp.bsr_array) -> sp.bsr_array:
-        """Turn a matrix on the free degrees of freedom (n_free, n_free) into one on the unknowns; its pattern stays the same."""
+        """Transform a matrix of the free degrees of freedom (n_free, n_free) to the unknowns, with a fixed sparsity pattern."""
         if self._axes is None:
             return matrix
         turned = self._turn(matrix.tocsr(), self._axes)
-        if self._places is None:  # SciPy leaves out what happens to be 0, and a factor's pattern must not change
+        if self._places is None:  # SciPy drops zero entries, but the sparsity pattern must not change
             ones = sp.bsr_array((np.ones_like(matrix.data), matrix.indices, matrix.indptr), shape=matrix.shape)
             self._places = self._turn(ones.tocsr(), abs(self._axes))
         data = np.zeros((self._places.nnz, 1, 1))
@@ -73,13 +73,13 @@ class Supports:
 
 
 def _keys(matrix: sp.csr_array) -> np.ndarray:
-    """One ascending number for each entry (nnz,)."""
+    """Return, for each entry of a sparse matrix, its index in the row-major order of all entries (nnz,)."""
     rows = np.repeat(np.arange(matrix.shape[0]), np.diff(matrix.indptr))
     return rows * matrix.shape[1] + matrix.indices
 
 
 def _axes(free: np.ndarray, nodes: np.ndarray, normals: np.ndarray, n_dofs: int) -> sp.csr_array:
-    """Orthonormal columns (n_free, n_unknowns): unit vectors, and at sliding nodes the axes that no normal has a part in."""
+    """Return orthonormal columns (n_free, n_unknowns): unit vectors, and at sliding nodes the axes normal to all ``normals``."""
     sliding, number = np.unique(nodes, return_inverse=True)
     walls = np.zeros((len(sliding), 3, 3))
     np.add.at(walls, number, normals[:, :, None] * normals[:, None, :])
@@ -97,27 +97,27 @@ def _axes(free: np.ndarray, nodes: np.ndarray, normals: np.ndarray, n_dofs: int)
 
 
 def walls(space: SolidSpace, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Directions that hold a body on walls without friction.
+    """Return the nodes and directions that constrain a body to slide on frictionless walls.
 
-    Along a smooth wall a node is held along the mean normal of its faces; where faces meet at more than about 26 degrees,
-    as two planes of symmetry do, along both.
+    On a smooth wall a node is constrained along the mean normal of its faces; where two faces meet at an angle above
+    about 26 degrees, as two planes of symmetry do, it is constrained along both normals.
 
     Parameters
     ----------
     space : SolidSpace
-        The body where it touches the walls.
+        Space of the body.
     faces : (n,) int array
         Numbers of the boundary faces on the walls.
 
     Returns
     -------
     (m,) int array, (m, 3) array [1]
-        Nodes and directions, for :class:`.body.Frame`; a node at a crease is there twice or three times.
+        Nodes and directions, for :class:`.body.Discretization`; a node at an edge of the walls is listed two or three times.
     """
     nodes = space.facet_nodes(faces)
     slopes = tabulate(skfem.ElementTriP2(), CORNERS_AND_MIDDLES, np.ones(6)).gradient
     tangents = np.einsum("fai,qab->fqib", space.positions[nodes], slopes)
-    normals = np.cross(tangents[..., 0], tangents[..., 1]).reshape(-1, 3)  # as long as twice the area
+    normals = np.cross(tangents[..., 0], tangents[..., 1]).reshape(-1, 3)  # their length is twice the area of the face
     on_wall, number = np.unique(nodes.ravel(), return_inverse=True)
     extent = np.linalg.norm(normals, axis=1)
     spread = np.zeros((len(on_wall), 3, 3))

@@ -1,9 +1,9 @@
-r"""Any law of a material point as a curve of tension: stretched along x, free of stress across, faster than it flows or grows.
+r"""Uniaxial tension curve of a material law: stretch along x, no lateral stress, too fast for viscous flow or growth.
 
 .. math:: P(\lambda) = \frac{d}{d\lambda} \min_y \Psi(\lambda, y), \qquad
           P' = \Psi_{\lambda\lambda} - \Psi_{\lambda y} \Psi_{yy}^{-1} \Psi_{y\lambda}
 
-with y the logarithms of the stretches across, of which incompressible tissue has one and other tissue two.
+Here y are the logarithms of the lateral stretches: one unknown if the tissue is incompressible, otherwise two.
 """
 
 from __future__ import annotations
@@ -16,37 +16,38 @@ from jax import Array
 from ..biology.substrate import TabulatedCurve
 from ..core.errors import ConvergenceError
 from ..core.units import pn_um2_from_kpa
-from ..materials.material import EnergyMaterial, has_bulk_modulus
+from ..materials.material import Material, has_bulk_modulus
+from ..numerics.host import own_exceptions
 
-NODES = 513  # of a table; every other one of them tells its error
-MOST = 200  # iterations
-LONGEST = 0.3  # step of a logarithm
-ROUNDING = 1e-13  # of an energy, as a share of the stiffness
-CLOSE = 1e-10  # of the last step: one more is done, and squares it
+NODES = 513  # number of stretches in a table; its error is estimated by using only every other one
+MAX_ITERATIONS = 200  # maximum number of Newton iterations
+MAX_STEP = 0.3  # largest Newton step of a logarithmic stretch
+ROUNDING = 1e-13  # round-off error of the energy, relative to the stiffness
+STEP_TOLERANCE = 1e-10  # Newton step of a logarithmic stretch below which only one more step is taken
 
 
 class Tension:
-    """Tension of a law along x; compiled once.
+    """Uniaxial tension test of a material law along x; the functions that compute it are compiled once.
 
     Parameters
     ----------
-    law : EnergyMaterial
-        Without history, or as it is before any: the fast response. Incompressible unless a part of it has a bulk modulus, as
-        in cases of kind "material-point".
+    law : Material
+        Material law, evaluated with its initial history, so without viscous flow or growth. It counts as incompressible unless a
+        part of it has a bulk modulus, as in cases of kind "material-point".
     """
 
-    def __init__(self, law: EnergyMaterial):
+    def __init__(self, law: Material):
         self._law = law
         self._across = 2 if has_bulk_modulus(law) else 1
         self._derivatives = jax.jit(jax.vmap(_derivatives, in_axes=(None, 0)))
 
     def table(self, low: float, high: float) -> tuple[TabulatedCurve, float]:
-        """Curve between two stretches, and its error as a share of the largest stress.
+        """Tabulate the stress between two stretches; also return the error of the table relative to the largest stress.
 
         Raises
         ------
         ConvergenceError
-            If the law has no state free of stress across at a stretch.
+            If no state without lateral stress is found at some stretch.
         """
         stretch = np.linspace(low, high, NODES)
         stress, slope = (pn_um2_from_kpa(values) for values in self.nominal(stretch))
@@ -55,23 +56,23 @@ class Tension:
         return TabulatedCurve(stress, slope, low, high), error
 
     def nominal(self, stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """First Piola-Kirchhoff stress and its slope [kPa] at stretches (n,); errors as of ``table``."""
+        """Compute the first Piola-Kirchhoff stress and its slope [kPa] at stretches (n,); raises as ``table``."""
         x = np.column_stack([stretch, *[-0.5 * np.log(stretch)] * self._across])
         energy, g, H = self._at(x)
-        size, done = np.full(len(x), LONGEST), np.zeros(len(x), bool)
-        for _ in range(MOST):
+        size, done = np.full(len(x), MAX_STEP), np.zeros(len(x), bool)
+        for _ in range(MAX_ITERATIONS):
             step = _step(g, H)
             length = np.max(np.abs(step), axis=1)
             last = done
-            done = done | (length <= CLOSE)
+            done = done | (length <= STEP_TOLERANCE)
             step *= np.minimum(1.0, size / np.maximum(length, 1e-300))[:, None]
             trial = x.copy()
             trial[:, 1:] += np.where(last[:, None], 0.0, step)
             new = self._at(trial)
-            lower = done | (new[0] <= energy + ROUNDING * np.max(np.abs(H), axis=(1, 2)))  # not where it is NaN
+            lower = done | (new[0] <= energy + ROUNDING * np.max(np.abs(H), axis=(1, 2)))  # False if it is NaN
             x[lower] = trial[lower]
             energy, g, H = (np.where(_like(lower, old), now, old) for now, old in zip(new, (energy, g, H)))
-            size = np.where(lower, np.minimum(2.0 * size, LONGEST), 0.5 * np.minimum(size, length))
+            size = np.where(lower, np.minimum(2.0 * size, MAX_STEP), 0.5 * np.minimum(size, length))
             if last.all():
                 break
         if not (last & np.isfinite(g).all(axis=1)).all():
@@ -80,13 +81,17 @@ class Tension:
         along = np.linalg.solve(H[:, 1:, 1:], H[:, 1:, :1])[..., 0]
         return g[:, 0], H[:, 0, 0] - np.sum(H[:, 0, 1:] * along, axis=1)
 
+    @own_exceptions()
     def _at(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         energy, g, H = self._derivatives(self._law, x)
         return np.asarray(energy), np.asarray(g), np.asarray(H)
 
 
 def _step(g: np.ndarray, H: np.ndarray) -> np.ndarray:
-    """Newton's step across (n, m), or down the slope where the energy is not convex."""
+    """Return the Newton step of the lateral log-stretches (n, m), or a descent direction where the energy is not convex.
+
+    g (n, 1 + m) and H (n, 1 + m, 1 + m) are gradient and Hessian of the energy.
+    """
     eigenvalues, vectors = np.linalg.eigh(np.where(np.isfinite(H[:, 1:, 1:]), H[:, 1:, 1:], 1.0))
     along = np.einsum("nij,ni->nj", vectors, g[:, 1:])
     return -np.einsum("nij,nj->ni", vectors, along / np.maximum(np.abs(eigenvalues), 1e-300))
@@ -96,8 +101,8 @@ def _like(which: np.ndarray, values: np.ndarray) -> np.ndarray:
     return which.reshape(-1, *(1,) * (values.ndim - 1))
 
 
-def _derivatives(law: EnergyMaterial, x: Array) -> tuple[Array, Array, Array]:
-    """Energy [kPa] at a stretch along and logarithms of those across (2,) or (3,), its gradient and its Hessian."""
+def _derivatives(law: Material, x: Array) -> tuple[Array, Array, Array]:
+    """Return energy [kPa], gradient and Hessian of a law at x: the stretch, then one or two lateral log-stretches."""
 
     def energy(x: Array) -> Array:
         stretch = x[0]

@@ -1,14 +1,14 @@
-"""Fixed points that are found sooner by what earlier iterations have shown of the map."""
+"""Anderson acceleration of fixed-point iterations."""
 
 from __future__ import annotations
 
 import numpy as np
 
-DEPTH = 4  # earlier iterations that are made use of
+DEPTH = 4  # number of earlier iterations used
 
 
 class Anderson:
-    """Anderson's mixing: of the iterates so far, the combination whose change would be least, to first order.
+    """Anderson acceleration of x = g(x): combine the latest iterates so that the residual g(x) - x is smallest to first order.
 
     Source: Walker & Ni (2011), Anderson acceleration for fixed-point iterations, SIAM Journal on Numerical Analysis 49.
     """
@@ -18,7 +18,7 @@ class Anderson:
         self._changes: list[tuple[np.ndarray, np.ndarray]] = []
 
     def mixed(self, x: np.ndarray, image: np.ndarray) -> np.ndarray:
-        """Where to go on from x (n,), whose image under the map is (n,)."""
+        """Return the next iterate from x (n,) and its image g(x) (n,) under the fixed-point map."""
         left = image - x
         if self._last is not None:
             self._changes = [*self._changes, (left - self._last[0], image - self._last[1])][-DEPTH:]

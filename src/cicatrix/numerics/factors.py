@@ -1,6 +1,6 @@
-"""Sparse factorisations behind one small protocol: MKL PARDISO where MKL is installed; SuperLU (SciPy) and pyamg elsewhere.
+"""Sparse matrix factorisations with a common interface: PARDISO if MKL is installed, otherwise SuperLU (SciPy) or pyamg.
 
-A factor here is a preconditioner: it may be single precision, and it may be that of another matrix that is near.
+A factor serves as a preconditioner: it may be in single precision, and may belong to a nearby matrix.
 """
 
 from __future__ import annotations
@@ -13,73 +13,81 @@ import weakref
 from abc import ABC, abstractmethod
 from ctypes.util import find_library
 from enum import IntEnum
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
-try:
-    import pyamg
-except ImportError:
-    pyamg = None
+from ..core.deferred import Deferred
 
-# the same bits in every run on one kind of machine: MKL may order its sums by threads and by where memory happens to lie, unless
-# told not to; COMPATIBLE would give them on every x86-64, at two to three times the time
+if TYPE_CHECKING:
+    import pyamg  # pyright: ignore[reportMissingImports]
+else:
+    pyamg = Deferred("pyamg")
+
+HAS_PYAMG = find_spec("pyamg") is not None  # an optional dependency
+
+# bitwise reproducible runs on one type of processor: otherwise MKL's order of summation depends on threads and memory alignment.
+# COMPATIBLE would give identical results on every x86-64 processor, but takes two to three times as long
 os.environ.setdefault("MKL_NUM_THREADS", os.environ.get("CICATRIX_THREADS", "1"))
 os.environ.setdefault("MKL_CBWR", "AUTO")
 
 
-class Kind(IntEnum):
-    """What is known of a symmetric matrix; the values are PARDISO's."""
+class MatrixType(IntEnum):
+    """Type of a symmetric matrix: positive definite, or possibly indefinite; the values are PARDISO's codes."""
 
     DEFINITE = 2
     SYMMETRIC = -2
 
 
 class Factor(Protocol):
-    """A factorised matrix."""
+    """A factorised matrix, used as a preconditioner."""
 
     @property
     def n_negative(self) -> int | None:
-        """Negative eigenvalues of a symmetric matrix; None where that is not known."""
+        """Number of negative eigenvalues of a symmetric matrix; None if unknown."""
         ...
 
     @property
     def values(self) -> np.ndarray:
-        """Numbers it was made of."""
+        """Matrix entries from which the factor was computed."""
         ...
 
     @property
-    def most_steps(self) -> int:
-        """Krylov steps after which it is no good."""
+    def max_iterations(self) -> int:
+        """Maximum number of Krylov iterations; a solve that needs more has failed."""
         ...
 
     @property
-    def price(self) -> float:
-        """Krylov steps in excess of its best that are worth another one; below 0 where it is not to be used again."""
+    def refactor_cost(self) -> float:
+        """Number of Krylov iterations beyond those at the best rate so far after which a new factorisation is worth its cost.
+
+        If it is negative, every matrix is factorised.
+        """
         ...
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """(n,) -> (n,) float64."""
+        """Solve with the factor: (n,) -> (n,) float64."""
         ...
 
 
 class Factorisation(Protocol):
-    """Factor matrices of one pattern; what a pattern alone decides is found once."""
+    """Factorisation of matrices with one sparsity pattern, which PARDISO and PETSc analyse only once."""
 
     def factor(self, matrix: sp.bsr_array) -> Factor:
-        """Factorise; raises FloatingPointError where the matrix is singular, or not definite where it should be."""
+        """Factorise a matrix; raises FloatingPointError if it is singular, or not definite although Cholesky is used."""
         ...
 
-    def again(self, values: np.ndarray) -> Factor:
-        """The factor that was made of these numbers, to the bit."""
+    def from_values(self, values: np.ndarray) -> Factor:
+        """Return the factor of the matrix with these stored entries, bitwise identical to the original factor."""
         ...
 
 
 def _mkl() -> ctypes.CDLL | None:
-    """Find MKL's one library where its wheel puts it, or where the system looks."""
+    """Load MKL's runtime library from where its wheel installs it or from the system's library path; None if not found."""
     names = ("libmkl_rt.so*", "libmkl_rt*.dylib", "mkl_rt*.dll")
     folders = [Path(base, part) for base in (sys.prefix, site.getuserbase()) for part in ("lib", "Library/bin")]
     found = [str(file) for folder in folders for name in names for file in sorted(folder.glob(name))]
@@ -92,90 +100,92 @@ def _mkl() -> ctypes.CDLL | None:
 
 
 MKL = _mkl()
-NOT_DEFINITE = -4  # PARDISO's word for a pivot that is not positive, or zero
-N_NEGATIVE, FACTOR_NNZ = 22, 17  # where it tells of them
-PRICE, PRICE_PER_ENTRY = 10.0, 0.04  # of a factor in steps: at least, and for each entry of a row of it
+NOT_DEFINITE = -4  # PARDISO's error code for a pivot that is zero or negative
+N_NEGATIVE, FACTOR_NNZ = 22, 17  # indices in iparm of the number of negative eigenvalues and of nonzeros in the factor
+MIN_REFACTOR_COST = 10.0  # smallest ``refactor_cost``
+REFACTOR_COST_PER_ENTRY = 0.04  # ``refactor_cost`` per nonzero in a row of the factor
 
 
 def check_finite(matrix: sp.bsr_array) -> None:
-    """Raise FloatingPointError where a matrix holds NaN or infinity."""
+    """Raise FloatingPointError if a matrix contains NaN or infinity."""
     if not np.isfinite(matrix.data).all():
         raise FloatingPointError("the matrix holds numbers that are not finite")
 
 
 class Pardiso:
-    """MKL PARDISO in single precision: Cholesky, or symmetric indefinite.
+    """MKL PARDISO in single precision: Cholesky, or LDL^T for symmetric indefinite matrices.
 
     Parameters
     ----------
-    kind : Kind
-        What to take for granted.
+    matrix_type : MatrixType
+        Assumed type of the matrices.
     matrix : bsr_array
-        Any matrix of the pattern; its upper triangle is read.
+        Any matrix with this sparsity pattern; only its upper triangle is used.
 
     Raises
     ------
     FloatingPointError
-        Where PARDISO finds the pattern singular.
+        If PARDISO finds the pattern singular.
     """
 
-    most_steps = 60
+    max_iterations = 60
 
-    def __init__(self, kind: Kind, matrix: sp.bsr_array) -> None:
-        self.kind = kind
+    def __init__(self, matrix_type: MatrixType, matrix: sp.bsr_array) -> None:
+        self.matrix_type = matrix_type
         self._slots, self._indices, self._indptr = _triangle(matrix)
         self._handle = np.zeros(64, np.int64)
         self._iparm = np.zeros(64, np.int32)
-        self._options(kind)
+        self._options(matrix_type)
         self.values = np.zeros(self._indices.size, np.float32)
         self._x = np.zeros(matrix.shape[0], np.float32)
         self.n_negative: int | None = None
-        weakref.finalize(self, _release, self._handle, kind, self._iparm, matrix.shape[0])
+        weakref.finalize(self, _release, self._handle, matrix_type, self._iparm, matrix.shape[0])
         self.values[:] = matrix.data.reshape(-1)[self._slots]
         self._call(11)
 
-    def _options(self, kind: Kind) -> None:
+    def _options(self, matrix_type: MatrixType) -> None:
         own, ordering, perturbation, inertia, two_level, single, from_zero = 0, 1, 9, 20, 23, 27, 34
         self._iparm[[own, inertia, single, from_zero]] = 1
-        self._iparm[ordering], self._iparm[perturbation] = 2, 8  # METIS; pivots no smaller than 1e-8
-        self._iparm[two_level] = int(kind == Kind.DEFINITE)  # a fifth faster, on one thread too
+        self._iparm[ordering], self._iparm[perturbation] = 2, 8  # METIS ordering; perturb pivots below 1e-8
+        self._iparm[two_level] = int(matrix_type == MatrixType.DEFINITE)  # two-level scheduling: 20 % faster
         self._iparm[FACTOR_NNZ] = -1
 
     @property
-    def price(self) -> float:
-        """Half of what it costs, 0.07 to 0.085 as measured: the next one will serve later solves too.
+    def refactor_cost(self) -> float:
+        """Half the measured cost of a factorisation, since the new factor will serve later solves too.
 
-        The arithmetic of a factor grows with the square of what its rows hold, that of a step with it.
+        Operations per row grow with the square of its nonzeros for a factorisation, and linearly for a Krylov iteration.
+        The ratio was measured as 0.07 to 0.085 iterations per nonzero of a row.
         """
-        return max(PRICE, PRICE_PER_ENTRY * int(self._iparm[FACTOR_NNZ]) / self._x.size)
+        return max(MIN_REFACTOR_COST, REFACTOR_COST_PER_ENTRY * int(self._iparm[FACTOR_NNZ]) / self._x.size)
 
     def factor(self, matrix: sp.bsr_array) -> Pardiso:
-        """Factorise; raises FloatingPointError where the matrix is singular, not finite, or not definite where it should be."""
+        """Factorise a matrix; raises FloatingPointError if it is singular, not finite, or not definite as its type requires."""
         check_finite(matrix)
-        return self.again(matrix.data.reshape(-1)[self._slots])
+        return self.from_values(matrix.data.reshape(-1)[self._slots])
 
-    def again(self, values: np.ndarray) -> Pardiso:
-        """The factor that was made of these numbers, to the bit; raises FloatingPointError as ``factor``."""
+    def from_values(self, values: np.ndarray) -> Pardiso:
+        """Return the factor of stored entries, bitwise identical to the original; raises FloatingPointError as ``factor``."""
         self.values[:] = values
         self._call(22)
-        self.n_negative = 0 if self.kind == Kind.DEFINITE else int(self._iparm[N_NEGATIVE])
+        self.n_negative = 0 if self.matrix_type == MatrixType.DEFINITE else int(self._iparm[N_NEGATIVE])
         return self
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """(n,) -> (n,) float64."""
+        """Solve with the factor: (n,) -> (n,) float64."""
         return self._call(33, rhs.astype(np.float32)).astype(float)
 
     def _call(self, phase: int, rhs: np.ndarray | None = None) -> np.ndarray:
         arrays = self.values, self._indptr, self._indices
-        error = _pardiso(self._handle, self.kind, self._iparm, phase, self._x.size, arrays, rhs, self._x)
+        error = _pardiso(self._handle, self.matrix_type, self._iparm, phase, self._x.size, arrays, rhs, self._x)
         if error:
             what = "a pivot is not positive" if error == NOT_DEFINITE else f"PARDISO reports error {error}"
             raise MemoryError("no memory for the factor") if error == -2 else FloatingPointError(what)
         return self._x
 
 
-def _pardiso(handle, kind, iparm, phase, n, matrix=(None, None, None), rhs=None, x=None) -> int:
-    """One call of PARDISO; returns its error."""
+def _pardiso(handle, matrix_type, iparm, phase, n, matrix=(None, None, None), rhs=None, x=None) -> int:
+    """Call PARDISO and return its error code."""
 
     def at(array: np.ndarray | None):
         return None if array is None else array.ctypes.data_as(ctypes.c_void_p)
@@ -186,18 +196,18 @@ def _pardiso(handle, kind, iparm, phase, n, matrix=(None, None, None), rhs=None,
     error = ctypes.c_int(0)
     values, indptr, indices = map(at, matrix)
     MKL.pardiso(
-        *(at(handle), number(1), number(1), number(kind), number(phase), number(n), values, indptr, indices),
+        *(at(handle), number(1), number(1), number(matrix_type), number(phase), number(n), values, indptr, indices),
         *(None, number(1), at(iparm), number(0), at(rhs), at(x), ctypes.byref(error)),
     )
     return error.value
 
 
-def _release(handle: np.ndarray, kind: Kind, iparm: np.ndarray, n: int) -> None:
-    _pardiso(handle, kind, iparm, -1, n)
+def _release(handle: np.ndarray, matrix_type: MatrixType, iparm: np.ndarray, n: int) -> None:
+    _pardiso(handle, matrix_type, iparm, -1, n)
 
 
 def _triangle(matrix: sp.bsr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Where the upper triangle's entries lie in the blocks' data, their columns, and where their rows begin."""
+    """Return the upper triangle of a block matrix in CSR form: positions of entries in ``matrix.data``, columns, row starts."""
     places = np.arange(matrix.data.size, dtype=np.int32).reshape(matrix.data.shape)
     scalar = sp.bsr_array((places + 1, matrix.indices, matrix.indptr), shape=matrix.shape).tocsr()
     scalar.sort_indices()
@@ -208,31 +218,31 @@ def _triangle(matrix: sp.bsr_array) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     return scalar.data[upper] - 1, scalar.indices[upper].astype(np.int32), indptr
 
 
-class _Blocks(ABC):
-    """What SuperLU and multigrid share: the pattern, and the numbers of the last matrix."""
+class _BlockFactorisation(ABC):
+    """Base class of SuperLU and multigrid, which stores the sparsity pattern and the entries of the last matrix."""
 
-    n_negative, price = None, 30.0
+    n_negative, refactor_cost = None, 30.0
 
     def __init__(self, matrix: sp.bsr_array) -> None:
         self._pattern = (matrix.indices, matrix.indptr), matrix.shape
         self.values = matrix.data
 
     def factor(self, matrix: sp.bsr_array) -> Factor:
-        """Factorise; raises FloatingPointError where the matrix is singular or not finite."""
+        """Factorise a matrix; raises FloatingPointError if it is singular or not finite."""
         check_finite(matrix)
-        return self.again(matrix.data)
+        return self.from_values(matrix.data)
 
     @abstractmethod
-    def again(self, values: np.ndarray) -> Factor:
-        """The factor that was made of these numbers, to the bit; raises FloatingPointError as ``factor``."""
+    def from_values(self, values: np.ndarray) -> Factor:
+        """Return the factor of stored entries, bitwise identical to the original; raises FloatingPointError as ``factor``."""
 
 
-class SuperLU(_Blocks):
-    """SciPy's SuperLU: slower, everywhere; it tells nothing of the signs of eigenvalues."""
+class SuperLU(_BlockFactorisation):
+    """SciPy's SuperLU: always available, but slower than PARDISO, and it does not give the signs of the eigenvalues."""
 
-    most_steps = 60
+    max_iterations = 60
 
-    def again(self, values: np.ndarray) -> SuperLU:  # noqa: D102
+    def from_values(self, values: np.ndarray) -> SuperLU:  # noqa: D102
         self.values = values
         blocks = sp.bsr_array((values, *self._pattern[0]), shape=self._pattern[1])
         try:
@@ -242,24 +252,24 @@ class SuperLU(_Blocks):
         return self
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """(n,) -> (n,) float64."""
+        """Solve with the factor: (n,) -> (n,) float64."""
         return self._lu.solve(rhs)
 
 
-class Multigrid(_Blocks):
-    """Smoothed aggregation by pyamg, for definite matrices too large for SuperLU; no factor, and many more steps.
+class Multigrid(_BlockFactorisation):
+    """Smoothed-aggregation multigrid (pyamg), for definite matrices too large for SuperLU; needs many more iterations.
 
-    Near-null space: one constant for each component of a block, which are the translations of a body that does not slide.
-    It notices an indefinite matrix only by the negative curvature that the iteration meets.
+    The near-null space is one constant vector per component of a block: the translations, for a body without sliding supports.
+    An indefinite matrix is detected only by negative curvature during the iteration.
     """
 
-    most_steps = 500
+    max_iterations = 500
 
-    def again(self, values: np.ndarray) -> Multigrid:  # noqa: D102
+    def from_values(self, values: np.ndarray) -> Multigrid:  # noqa: D102
         self.values = values
         matrix = sp.bsr_matrix((values, *self._pattern[0]), shape=self._pattern[1])
         translations = np.tile(np.eye(values.shape[1]), (matrix.shape[0] // values.shape[1], 1))
-        before = np.random.get_state()  # noqa: NPY002  pyamg starts its estimates of eigenvalues from there
+        before = np.random.get_state()  # noqa: NPY002  pyamg draws the start vectors of its eigenvalue estimates from NumPy's global generator
         np.random.seed(0)  # noqa: NPY002
         try:
             levels = pyamg.smoothed_aggregation_solver(matrix, B=translations, strength=("symmetric", {"theta": 0.08}))
@@ -269,19 +279,19 @@ class Multigrid(_Blocks):
         return self
 
     def solve(self, rhs: np.ndarray) -> np.ndarray:
-        """(n,) -> (n,) float64."""
+        """Solve with the factor: (n,) -> (n,) float64."""
         return np.asarray(self._cycle @ rhs)
 
 
-LARGEST_SUPERLU = 30_000  # unknowns of a definite matrix; beyond, its factor of a solid takes minutes and gigabytes
+LARGEST_SUPERLU = 30_000  # largest definite matrix for SuperLU (unknowns); larger solids take minutes and gigabytes
 
 
-def factorisation(kind: Kind, matrix: sp.bsr_array) -> Factorisation:
-    """Return the best one of this machine; CICATRIX_LINEAR_SOLVER = "scipy" or "pyamg" asks for what works without MKL."""
+def factorisation(matrix_type: MatrixType, matrix: sp.bsr_array) -> Factorisation:
+    """Return the fastest installed factorisation for a matrix; CICATRIX_LINEAR_SOLVER = "scipy" or "pyamg" avoids MKL."""
     asked = os.environ.get("CICATRIX_LINEAR_SOLVER")
     if MKL is not None and asked not in ("scipy", "pyamg"):
-        return Pardiso(kind, matrix)
+        return Pardiso(matrix_type, matrix)
     is_large = matrix.shape[0] > LARGEST_SUPERLU and asked != "scipy"
-    if pyamg is not None and kind == Kind.DEFINITE and (is_large or asked == "pyamg"):
+    if HAS_PYAMG and matrix_type == MatrixType.DEFINITE and (is_large or asked == "pyamg"):
         return Multigrid(matrix)
     return SuperLU(matrix)

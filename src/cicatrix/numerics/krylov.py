@@ -1,4 +1,4 @@
-"""Linear systems whose matrix is summed over ranks, by PETSc: Krylov methods with MUMPS or algebraic multigrid."""
+"""PETSc solvers for linear systems distributed over ranks: Krylov methods with MUMPS or algebraic multigrid."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.ranks import Ranks
-from .factors import Kind
+from .factors import MatrixType
 from .petsc import INSERT, Petsc, petsc
 
 Method = Literal["mumps", "gamg"]
@@ -27,7 +27,7 @@ MINIMAL_RESIDUALS = {"ksp_type": "gmres", "ksp_gmres_restart": 20, "ksp_pc_side"
 MUMPS = {
     "pc_type": "cholesky",
     "pc_factor_mat_solver_type": "mumps",
-    "mat_mumps_icntl_24": 1,  # tells of pivots that are zero
+    "mat_mumps_icntl_24": 1,  # detect zero pivots
 }
 GAMG = {
     "pc_type": "gamg",
@@ -42,16 +42,16 @@ GAMG = {
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """Which rank has which rows of a matrix of blocks.
+    """Distribution of the block rows of a matrix over ranks.
 
     Parameters
     ----------
     ranks : Ranks
-        Who solves together.
+        Ranks that solve together.
     owners : (n,) int array
-        Rank that has each block of rows.
+        Rank that owns each block row.
     positions : (n, 3) array [mm]
-        Where the nodes are whose displacements these are: rigid-body motions, which multigrid must not lose, follow.
+        Positions of the nodes of the block rows, from which multigrid computes its near-null space (rigid-body modes).
     """
 
     ranks: Ranks
@@ -60,50 +60,50 @@ class Layout:
 
     @cached_property
     def order(self) -> np.ndarray:
-        """Blocks, those of the first rank first (n,)."""
+        """Indices of the block rows, sorted by the rank that owns them (n,)."""
         return np.argsort(self.owners, kind="stable")
 
     @cached_property
     def number(self) -> np.ndarray:
-        """Place of each block in that order (n,)."""
+        """Position of each block row in ``order`` (n,)."""
         out = np.empty(self.owners.size, int)
         out[self.order] = np.arange(out.size)
         return out
 
     @cached_property
     def own(self) -> np.ndarray:
-        """Blocks of this rank, in that order."""
+        """Indices of the block rows that this rank owns (n_own,), in the order of ``order``."""
         return self.order[self.owners[self.order] == self.ranks.rank]
 
     def collect(self, own: np.ndarray) -> np.ndarray:
-        """All ranks' numbers from each one's own (n_own, b) -> (n, b)."""
+        """Gather the values of all block rows on every rank, from those of the rows that each rank owns: (n_own, b) -> (n, b)."""
         parts = [np.frombuffer(part) for part in self.ranks.gather(own.tobytes())]
         return np.concatenate(parts).reshape(-1, own.shape[1])[self.number]
 
 
 @dataclass
 class PetscEngine:
-    """PETSc's solvers for :class:`.linear.LinearSolver`, on the ranks of a layout.
+    """PETSc back end of :class:`.linear.LinearSolver` on the ranks of a layout.
 
-    Every rank calls all methods alike. A matrix is the sum of those that the ranks give; right-hand sides and solutions
-    are whole on every rank.
+    All methods are collective. The matrix is the sum of the contributions of all ranks; right-hand sides and solutions are
+    complete on every rank.
 
     Parameters
     ----------
     layout : Layout, optional
-        This process alone unless given.
+        Distribution over ranks; by default this process alone.
     method : {"mumps", "gamg"}
-        A direct factorisation, or smoothed aggregation (then MUMPS serves what is indefinite).
+        Direct factorisation, or smoothed-aggregation multigrid (with MUMPS for indefinite matrices).
     """
 
     layout: Layout | None = None
     method: Method = "mumps"
     library: Petsc = field(default_factory=petsc)
 
-    def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> PetscSystem:  # noqa: D102
+    def factorisation(self, matrix_type: MatrixType, matrix: sp.bsr_array) -> PetscSystem:  # noqa: D102
         layout = self.layout or Layout(Ranks(), np.zeros(matrix.shape[0] // matrix.blocksize[0], int))
-        options = GAMG if self.method == "gamg" and kind == Kind.DEFINITE else MUMPS
-        return PetscSystem(self.library, layout, kind, options, matrix)
+        options = GAMG if self.method == "gamg" and matrix_type == MatrixType.DEFINITE else MUMPS
+        return PetscSystem(self.library, layout, matrix_type, options, matrix)
 
     def iterate(  # noqa: D102
         self,
@@ -112,10 +112,10 @@ class PetscEngine:
         matrix: sp.bsr_array,
         rhs: np.ndarray,
         tolerance: float,
-        most_steps: int,
+        max_iterations: int,
         slowest: float = np.inf,
     ) -> tuple[np.ndarray | None, int]:
-        return factor.iterate(method, matrix, rhs, tolerance, most_steps)
+        return factor.iterate(method, matrix, rhs, tolerance, max_iterations)
 
     def release(self, methods: Sequence[PetscSystem]) -> None:  # noqa: D102
         for method in methods:
@@ -123,14 +123,19 @@ class PetscEngine:
 
 
 class PetscSystem:
-    """A matrix over ranks, a Krylov method and its preconditioner; factorisation and factor in one, as PARDISO's."""
+    """Distributed matrix with Krylov solvers and a preconditioner; like ``Pardiso`` both a ``Factorisation`` and a ``Factor``."""
 
-    price = -1.0  # each matrix gets its own: many solves with an old one mean many messages between ranks
+    refactor_cost = -1.0  # always refactorise: the extra iterations with an old factor need many messages between ranks
 
     def __init__(
-        self, library: Petsc, layout: Layout, kind: Kind, preconditioner: dict[str, str | float], matrix: sp.bsr_array
+        self,
+        library: Petsc,
+        layout: Layout,
+        matrix_type: MatrixType,
+        preconditioner: dict[str, str | float],
+        matrix: sp.bsr_array,
     ) -> None:
-        self._petsc, self._layout, self.kind = library, layout, kind
+        self._petsc, self._layout, self.matrix_type = library, layout, matrix_type
         self._preconditioner = preconditioner
         self._block = matrix.blocksize[0]
         self._comm = library.communicator(layout.ranks)
@@ -150,16 +155,16 @@ class PetscSystem:
             ("MatDestroy", self._matrix),
         ]
         self._end = weakref.finalize(self, _destroy, library, handles)
-        if layout.ranks.size > 1:  # all would have to forget at the same moment
+        if layout.ranks.size > 1:  # destruction is collective, so it cannot be left to each rank's garbage collection
             self._end.detach()
             self._end = partial(_destroy, library, handles)
 
     def close(self) -> None:
-        """Let PETSc's memory go; all ranks alike. It is of no use afterwards."""
+        """Free PETSc's memory (collective); the object cannot be used afterwards."""
         self._end()
 
     def _make_matrix(self, matrix: sp.bsr_array) -> None:
-        """Rows to ranks, and where each entry of this rank's blocks goes, wherever that is."""
+        """Create the matrix: distribute its rows and register the row and column of each entry of this rank's contribution."""
         call, integer, block = self._petsc.call, self._petsc.integer, self._block
         n_own, n = block * self._layout.own.size, matrix.shape[0]
         self._matrix = self._petsc.new("MatCreate", self._comm)
@@ -172,14 +177,14 @@ class PetscSystem:
         i, j = (places[0][:, None, None] + k[:, None]), (places[1][:, None, None] + k[None, :])
         i, j = (np.ascontiguousarray(np.broadcast_to(m, matrix.data.shape), self._petsc.int_type) for m in (i, j))
         call("MatSetPreallocationCOO", self._matrix, c_ssize_t(i.size), _at(i), _at(j))
-        call("MatSetOption", self._matrix, c_int(SYMMETRIC_OPTION), c_int(1))  # of what is factorised
+        call("MatSetOption", self._matrix, c_int(SYMMETRIC_OPTION), c_int(1))  # the factorised matrix is symmetric
         self._x, self._b = c_void_p(), c_void_p()
         call("MatCreateVecs", self._matrix, byref(self._x), byref(self._b))
 
     def _make_solver(self, name: str, krylov: dict[str, str | float], beside: c_void_p | None) -> c_void_p:
-        """A Krylov method with a preconditioner of its own, or that of the one beside it."""
+        """Create a Krylov solver with a new preconditioner, or, if ``beside`` is given, with the preconditioner that exists."""
         call = self._petsc.call
-        prefix = f"cicatrix_{self._preconditioner['pc_type']}_{self.kind.name.lower()}_{name}_"
+        prefix = f"cicatrix_{self._preconditioner['pc_type']}_{self.matrix_type.name.lower()}_{name}_"
         ksp = self._petsc.new("KSPCreate", self._comm)
         if beside is not None:
             call("KSPSetPC", ksp, self._conditioner)
@@ -191,14 +196,14 @@ class PetscSystem:
 
     @property
     def _conditioner(self) -> c_void_p:
-        """The preconditioner that both methods share."""
+        """Preconditioner shared by both Krylov methods."""
         out = c_void_p()
         self._petsc.call("KSPGetPC", self._cg, byref(out))
         return out
 
     @property
-    def most_steps(self) -> int:
-        """Krylov steps after which it is no good."""
+    def max_iterations(self) -> int:
+        """Maximum number of Krylov iterations; a solve that needs more has failed."""
         return 1000 if self._is_multigrid else 60
 
     @property
@@ -217,11 +222,11 @@ class PetscSystem:
         call("VecDestroy", byref(places))
 
     def factor(self, matrix: sp.bsr_array) -> PetscSystem:
-        """Set the preconditioner up; raises FloatingPointError where the matrix is singular, not finite or not definite."""
-        return self.again(matrix.data.reshape(-1), matrix)
+        """Set up the preconditioner; raises FloatingPointError if the matrix is singular, not finite or not definite."""
+        return self.from_values(matrix.data.reshape(-1), matrix)
 
-    def again(self, values: np.ndarray, matrix: sp.bsr_array | None = None) -> PetscSystem:
-        """The preconditioner that was made of these numbers of this rank."""
+    def from_values(self, values: np.ndarray, matrix: sp.bsr_array | None = None) -> PetscSystem:
+        """Set up the preconditioner from stored matrix entries, this rank's contribution; raises as ``factor``."""
         finite = [part == b"1" for part in self._layout.ranks.gather(b"1" if np.isfinite(values).all() else b"0")]
         if not all(finite):
             raise FloatingPointError("the matrix holds numbers that are not finite")
@@ -253,18 +258,18 @@ class PetscSystem:
         self.n_negative = counts[0].value
         if counts[1].value:
             raise FloatingPointError("MUMPS finds the matrix singular")
-        if self.n_negative and self.kind == Kind.DEFINITE:
+        if self.n_negative and self.matrix_type == MatrixType.DEFINITE:
             raise FloatingPointError("a pivot is not positive")
 
     def iterate(
-        self, method: Krylov, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, most_steps: int
+        self, method: Krylov, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, max_iterations: int
     ) -> tuple[np.ndarray | None, int]:
-        """Solve to |b - K x| <= tolerance |b|: the solution, or None where it is not reached, and the steps taken."""
+        """Solve K x = b to |b - K x| <= tolerance |b|; return x (None if not reached) and the number of iterations."""
         call, ksp = self._petsc.call, self._cg if method == "cg" else self._gmres
         self._load(matrix.data.reshape(-1), matrix)
         self._fill(self._b, rhs.reshape(-1, self._block)[self._layout.own])
         bounds = c_double(tolerance), c_double(0.0), c_double(1e12)
-        call("KSPSetTolerances", ksp, *bounds, self._petsc.integer(most_steps))
+        call("KSPSetTolerances", ksp, *bounds, self._petsc.integer(max_iterations))
         call("KSPSolve", ksp, self._b, self._x)
         reason, steps = c_int(), self._petsc.integer(0)
         call("KSPGetConvergedReason", ksp, byref(reason))
@@ -279,7 +284,7 @@ class PetscSystem:
         return self._solution()
 
     def _fill(self, vector: c_void_p, own: np.ndarray) -> None:
-        """Give a vector this rank's numbers (n_own, b)."""
+        """Copy this rank's values (n_own, b) into a PETSc vector."""
         with self._memory(vector) as values:
             values[:] = own.reshape(-1)
 
@@ -290,7 +295,7 @@ class PetscSystem:
 
     @contextmanager
     def _memory(self, vector: c_void_p) -> Iterator[np.ndarray]:
-        """A vector's numbers on this rank, where PETSc has them (n_own b,)."""
+        """Yield this rank's part of a PETSc vector as an array (n_own b,) that shares its memory."""
         at, n = c_void_p(), self._layout.own.size * self._block
         self._petsc.call("VecGetArray", vector, byref(at))
         yield np.ctypeslib.as_array((c_double * n).from_address(at.value)) if n else np.zeros(0)

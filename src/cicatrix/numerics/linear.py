@@ -1,4 +1,4 @@
-"""Linear solves of a sequence of matrices that change little: one factor serves as preconditioner for many of them."""
+"""Linear solver for a sequence of slowly changing matrices, which uses one factor as preconditioner for many of them."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import LinearOperator
 from scipy.sparse.linalg import gmres as scipy_gmres
 
-from .factors import Factor, Factorisation, Kind, check_finite, factorisation
+from .factors import Factor, Factorisation, MatrixType, check_finite, factorisation
 from .krylov import Krylov, PetscEngine
 
-PROBE_STEPS = 6  # of Lanczos' method in search of a negative eigenvalue
-INDEFINITE = 0.5  # steps in place of those: minimal residuals take longer, and the next factor may well be definite
-FEW = 10  # steps before a pace is judged
+PROBE_STEPS = 6  # iterations of conjugate gradients in search of negative curvature
+INDEFINITE_COST_FACTOR = 0.5  # if the factor is indefinite: GMRES is slower, and the next matrix may be definite
+MIN_JUDGED_ITERATIONS = 10  # iterations before the rate of convergence is judged
 
 
 class Engine(Protocol):
-    """What factorises and iterates, on this process or on several ranks."""
+    """Linear-algebra back end: factorisations and Krylov iterations, in one process or over several ranks."""
 
-    def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:
-        """Prepare to factorise matrices of this pattern."""
+    def factorisation(self, matrix_type: MatrixType, matrix: sp.bsr_array) -> Factorisation:
+        """Prepare the factorisation of matrices of a given type with the sparsity pattern of ``matrix``."""
         ...
 
     def iterate(
@@ -33,26 +33,27 @@ class Engine(Protocol):
         matrix: sp.bsr_array,
         rhs: np.ndarray,
         tolerance: float,
-        most_steps: int,
+        max_iterations: int,
         slowest: float = np.inf,
     ) -> tuple[np.ndarray | None, int]:
-        """Solve with a factor: the solution, or None where it is not reached, and the steps taken.
+        """Solve K x = b by a Krylov method, with a factor as preconditioner, to |b - K x| <= tolerance |b|.
 
-        It may give up where the steps per digit come out above ``slowest``.
+        Return x (None if the tolerance was not reached) and the number of iterations. The iteration may stop early if it
+        takes more than ``slowest`` iterations per decimal digit of reduction of the residual.
         """
         ...
 
     def release(self, methods: Sequence[Any]) -> None:
-        """Let go what these hold beyond Python's own memory."""
+        """Free the memory that factorisations have allocated outside Python."""
         ...
 
 
 class InProcess:
-    """What this process has without PETSc (``factorisation``), and the Krylov methods below."""
+    """Back end without PETSc: a factorisation from :mod:`.factors` and the Krylov methods of this module."""
 
-    def factorisation(self, kind: Kind, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
-        check_finite(matrix)  # PARDISO looks at the numbers already
-        return factorisation(kind, matrix)
+    def factorisation(self, matrix_type: MatrixType, matrix: sp.bsr_array) -> Factorisation:  # noqa: D102
+        check_finite(matrix)  # the analysis phase of PARDISO already uses the values
+        return factorisation(matrix_type, matrix)
 
     def iterate(  # noqa: D102
         self,
@@ -61,49 +62,49 @@ class InProcess:
         matrix: sp.bsr_array,
         rhs: np.ndarray,
         tolerance: float,
-        most_steps: int,
+        max_iterations: int,
         slowest: float = np.inf,
     ) -> tuple[np.ndarray | None, int]:
         solve = conjugate_gradients if method == "cg" else gmres
-        return solve(matrix, rhs, factor.solve, tolerance, most_steps, slowest)
+        return solve(matrix, rhs, factor.solve, tolerance, max_iterations, slowest)
 
     def release(self, methods: Sequence[Factorisation]) -> None:  # noqa: D102
-        pass  # they do it when nobody knows them any more
+        pass  # freed by garbage collection
 
 
 def engine() -> Engine:
-    """Return the one of this process; CICATRIX_LINEAR_SOLVER = "petsc" asks for MUMPS through PETSc."""
+    """Return the default back end; CICATRIX_LINEAR_SOLVER = "petsc" selects MUMPS through PETSc."""
     return PetscEngine() if os.environ.get("CICATRIX_LINEAR_SOLVER") == "petsc" else InProcess()
 
 
 class LinearSolver:
-    """Solve K x = b to a tolerance by a Krylov method in double precision, preconditioned by a factor that is kept.
+    """Solve K x = b by a preconditioned Krylov method in double precision, with one factor for many matrices.
 
-    A symmetric matrix is factorised as if it were definite (Cholesky, single precision), and where it turns out to be
-    indefinite as such; in place of one that is not symmetric a symmetric one is that is near. Symmetric matrices with a
-    definite factor are solved with by conjugate gradients, all others by generalised minimal residuals.
+    Symmetric matrices are factorised by Cholesky (in single precision with PARDISO), with a symmetric indefinite factorisation as
+    fallback. For unsymmetric matrices the preconditioner is the factor of a nearby symmetric matrix (``near``). Symmetric
+    matrices with a definite factor are solved by conjugate gradients, all others by GMRES.
 
-    The factor is kept until the steps that it took in excess of its best rate, in steps per digit, would have paid for another
-    one; it goes at once where it fails or crawls. What is done depends on numbers alone, never on time.
+    A factor is replaced once its extra iterations, counted beyond its best rate in iterations per digit, would have paid
+    for a new one, and at once if a solve fails or converges too slowly. Decisions depend on computed values, never on timings.
 
     Parameters
     ----------
     on : Engine, optional
-        What factorises and iterates; the best one of this process unless given.
+        Back end for factorisations and Krylov iterations; by default the one that :func:`engine` returns.
     """
 
     def __init__(self, on: Engine | None = None) -> None:
         self._engine = on or engine()
-        self._methods: dict[Kind, Factorisation] = {}
+        self._methods: dict[MatrixType, Factorisation] = {}
         self._factor: Factor | None = None
-        self._kind = Kind.DEFINITE
-        self._best_rate, self._spent = np.inf, 0.0
+        self._matrix_type = MatrixType.DEFINITE
+        self._best_rate, self._excess_iterations = np.inf, 0.0
         self.n_factorizations, self.n_steps = 0, 0
 
     def solve(
         self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, near: Callable[[], sp.bsr_array] | None = None
     ) -> np.ndarray:
-        """Solve to |b - K x| <= tolerance |b|: (n,) -> (n,).
+        """Solve K x = b to |b - K x| <= tolerance |b|: (n,) -> (n,).
 
         Parameters
         ----------
@@ -112,89 +113,100 @@ class LinearSolver:
         rhs : (n,) array
             b.
         tolerance : float
-            Bound on the residual over the right-hand side (Euclidean norms).
+            Bound on the residual relative to the right-hand side (Euclidean norms).
         near : callable, optional
-            Makes a symmetric matrix of the same pattern that is near to K.
+            Returns a symmetric matrix with the same sparsity pattern that is close to K.
 
         Raises
         ------
         FloatingPointError
-            Where the matrix is singular or not finite.
+            If the matrix is singular or not finite.
         """
         symmetric = near is None
-        if self._factor is not None and self._spent <= self._price:
-            slowest = self._best_rate + self._price / _digits(tolerance)
+        if self._factor is not None and self._excess_iterations <= self._refactor_cost:
+            slowest = self._best_rate + self._refactor_cost / _digits(tolerance)
             x = self._iterate(matrix, rhs, tolerance, symmetric, slowest)
             if x is not None:
                 return x
         part = matrix if near is None else near()
         self.factor(part)
         x = self._iterate(matrix, rhs, tolerance, symmetric)
-        if x is None and self._kind == Kind.DEFINITE:
-            # single precision lets a matrix pass that is hardly definite
-            self._factorise(Kind.SYMMETRIC, part)
+        if x is None and self._matrix_type == MatrixType.DEFINITE:
+            # Cholesky in single precision may accept a matrix that is barely definite
+            self._factorise(MatrixType.SYMMETRIC, part)
             x = self._iterate(matrix, rhs, tolerance, symmetric)
         if x is None:
             raise FloatingPointError("the matrix is singular to working precision")
         return x
 
     @property
-    def _price(self) -> float:
-        """Of another factor, in steps with this one."""
-        return self._factor.price * (INDEFINITE if self._kind == Kind.SYMMETRIC else 1.0)
+    def _refactor_cost(self) -> float:
+        """Cost of refactorising, in equivalent Krylov iterations with the current factor."""
+        return self._factor.refactor_cost * (
+            INDEFINITE_COST_FACTOR if self._matrix_type == MatrixType.SYMMETRIC else 1.0
+        )
 
     def factor(self, matrix: sp.bsr_array) -> None:
-        """Factorise this symmetric matrix; raises FloatingPointError where it is singular or not finite."""
+        """Factorise a symmetric matrix; raises FloatingPointError if it is singular or not finite."""
         try:
-            self._factorise(Kind.DEFINITE, matrix)
+            self._factorise(MatrixType.DEFINITE, matrix)
         except FloatingPointError:
-            self._factorise(Kind.SYMMETRIC, matrix)
+            self._factorise(MatrixType.SYMMETRIC, matrix)
 
-    def _factorise(self, kind: Kind, matrix: sp.bsr_array) -> None:
-        self._factor, self._best_rate, self._spent = None, np.inf, 0.0
-        if kind not in self._methods:
-            self._methods[kind] = self._engine.factorisation(kind, matrix)
+    def _factorise(self, matrix_type: MatrixType, matrix: sp.bsr_array) -> None:
+        self._factor, self._best_rate, self._excess_iterations = None, np.inf, 0.0
+        if matrix_type not in self._methods:
+            self._methods[matrix_type] = self._engine.factorisation(matrix_type, matrix)
         self.n_factorizations += 1
-        self._factor, self._kind = self._methods[kind].factor(matrix), kind
+        self._factor, self._matrix_type = self._methods[matrix_type].factor(matrix), matrix_type
 
-    def forget(self) -> None:
-        """Let the factor's memory go."""
+    def reset(self) -> None:
+        """Discard the factor and free its memory."""
         self._engine.release(list(self._methods.values()))
         self._methods, self._factor = {}, None
 
-    def kept(self) -> dict[str, np.ndarray]:
-        """Everything that the next solve depends on, for ``restore``; empty before the first."""
+    def state_arrays(self) -> dict[str, np.ndarray]:
+        """Return all data that the next solve depends on, as a checkpoint for ``restore``; empty before the first solve."""
         if self._factor is None:
             return {}
-        served = np.array([self._best_rate, self._spent])
-        return {"values": self._factor.values, "kind": np.array(self._kind), "served": served}
+        served = np.array([self._best_rate, self._excess_iterations])
+        return {"values": self._factor.values.copy(), "kind": np.array(self._matrix_type), "served": served}
 
-    def restore(self, matrix: sp.bsr_array, kept: Mapping[str, np.ndarray]) -> None:
-        """Go on, to the bit, where another solver was; ``matrix`` is any of the pattern."""
-        self._kind, (self._best_rate, self._spent) = Kind(int(kept["kind"])), map(float, kept["served"])
-        self._methods[self._kind] = self._engine.factorisation(self._kind, matrix)
-        self._factor = self._methods[self._kind].again(kept["values"])
+    def restore(self, matrix: sp.bsr_array, arrays: Mapping[str, np.ndarray]) -> None:
+        """Restore the data of ``state_arrays``, so that later solves are bitwise identical.
+
+        Only the sparsity pattern of ``matrix`` is used, not its entries.
+        """
+        self._matrix_type, (self._best_rate, self._excess_iterations) = (
+            MatrixType(int(arrays["kind"])),
+            map(float, arrays["served"]),
+        )
+        self._methods[self._matrix_type] = self._engine.factorisation(self._matrix_type, matrix)
+        self._factor = self._methods[self._matrix_type].from_values(arrays["values"])
 
     def _iterate(
         self, matrix: sp.bsr_array, rhs: np.ndarray, tolerance: float, symmetric: bool, slowest: float = np.inf
     ) -> np.ndarray | None:
-        """Solve with the factor that is there; None where it does not serve."""
-        method = "cg" if symmetric and self._kind == Kind.DEFINITE else "gmres"
-        most = self._factor.most_steps
-        x, steps = self._engine.iterate(self._factor, method, matrix, rhs, tolerance, most, slowest)
+        """Solve K x = b with the current factor as preconditioner; return x (n,), or None without convergence."""
+        method = "cg" if symmetric and self._matrix_type == MatrixType.DEFINITE else "gmres"
+        max_iterations = self._factor.max_iterations
+        x, steps = self._engine.iterate(self._factor, method, matrix, rhs, tolerance, max_iterations, slowest)
         self.n_steps += steps
         self._best_rate = min(self._best_rate, max(steps, 1) / _digits(tolerance))
-        self._spent = np.inf if x is None else self._spent + steps - self._best_rate * _digits(tolerance)
+        self._excess_iterations = (
+            np.inf if x is None else self._excess_iterations + steps - self._best_rate * _digits(tolerance)
+        )
         return x
 
     def is_definite(self, matrix: sp.bsr_array) -> bool:
-        """Whether a symmetric matrix has no negative eigenvalue, as far as a short search from a random start sees.
+        """Return whether a symmetric matrix is positive definite, as far as a short search for negative eigenvalues shows.
 
-        An indefinite factor that is kept gives way to that of this matrix, whose signs are then counted. With SuperLU's factor
-        of that same matrix it sees nothing, and the answer is yes.
+        With a definite factor, a few iterations of conjugate gradients from a random right-hand side look for negative curvature.
+        With an indefinite factor, the matrix itself is factorised and its negative eigenvalues are counted. SuperLU does not give
+        the signs of eigenvalues: with an indefinite factor of SuperLU, every matrix counts as definite.
         """
-        if self._kind != Kind.DEFINITE:
-            self._factorise(Kind.SYMMETRIC, matrix)  # the last one's signs are those of another matrix
+        if self._matrix_type != MatrixType.DEFINITE:
+            self._factorise(MatrixType.SYMMETRIC, matrix)  # the current factor has the signs of another matrix
             return not self._factor.n_negative
         rhs = np.random.Generator(np.random.Philox(0)).standard_normal(matrix.shape[0])
         x, steps = self._engine.iterate(self._factor, "cg", matrix, rhs, 1e-6, PROBE_STEPS)
@@ -206,27 +218,32 @@ def _digits(tolerance: float) -> float:
 
 
 def _is_slow(steps: int, share: float, slowest: float) -> bool:
-    """Whether the residual is down to so small a share of the right-hand side in too many steps per digit."""
-    if steps < FEW or slowest == np.inf:
+    """Return whether a Krylov method converges too slowly: more than ``slowest`` iterations per decimal digit.
+
+    ``steps`` iterations have reduced the residual to the fraction ``share`` of the right-hand side.
+    """
+    if steps < MIN_JUDGED_ITERATIONS or slowest == np.inf:
         return False
     return steps > slowest * max(-np.log10(max(share, 1e-300)), 0.0)
 
 
 def conjugate_gradients(
-    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int, slowest: float = np.inf
+    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, max_iterations: int, slowest: float = np.inf
 ) -> tuple[np.ndarray | None, int]:
-    """Preconditioned conjugate gradients: the solution, or None where it is not reached, and the steps taken.
+    """Solve K x = b by preconditioned conjugate gradients to |b - K x| <= tolerance |b|.
 
-    It stops at a direction of negative curvature. The preconditioner may round (single precision), so directions are made
-    conjugate by the change of the residual (Polak & Ribiere; Notay 2000, flexible conjugate gradients).
+    Return x (None if not reached) and the number of iterations. ``precondition`` applies the inverse of the preconditioner. The
+    iteration stops at a direction of negative curvature, or after more than ``slowest`` iterations per decimal digit.
+    Because the preconditioner has rounding errors (single precision), search directions are conjugated with the change of
+    the residual (Polak & Ribiere; Notay 2000, flexible conjugate gradients).
     """
     x, r, p, rz = np.zeros_like(rhs), rhs.copy(), np.zeros_like(rhs), 1.0
     before, whole = np.zeros_like(rhs), float(np.linalg.norm(rhs))
-    for step in range(most_steps + 1):
+    for step in range(max_iterations + 1):
         left = float(np.linalg.norm(r))
         if left <= tolerance * whole:
             return x, step
-        if step == most_steps or _is_slow(step, left / whole, slowest):
+        if step == max_iterations or _is_slow(step, left / whole, slowest):
             return None, step
         z = precondition(r)
         p = z + (z @ (r - before)) / rz * p if step else z
@@ -246,9 +263,9 @@ class _TooSlowError(Exception):
 
 
 def gmres(
-    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, most_steps: int, slowest: float = np.inf
+    matrix: sp.bsr_array, rhs: np.ndarray, precondition, tolerance: float, max_iterations: int, slowest: float = np.inf
 ) -> tuple[np.ndarray | None, int]:
-    """SciPy's generalised minimal residuals; the solution, or None where it is not reached, and the steps taken."""
+    """Solve K x = b by SciPy's GMRES; arguments and result as for :func:`conjugate_gradients`."""
     shares = []
 
     def note(share: float) -> None:
@@ -260,7 +277,7 @@ def gmres(
     try:
         x, left = scipy_gmres(
             *(matrix, rhs),
-            **{"rtol": tolerance, "M": operator, "restart": most_steps // 3, "maxiter": 3},
+            **{"rtol": tolerance, "M": operator, "restart": max_iterations // 3, "maxiter": 3},
             callback=note,
             callback_type="pr_norm",
         )

@@ -1,4 +1,4 @@
-"""Newton's method with a line search, and load stepping that adapts."""
+"""Newton's method with a line search, damped Newton minimisation, and adaptive load stepping."""
 
 from __future__ import annotations
 
@@ -12,10 +12,11 @@ from ..core.errors import ConvergenceError
 
 @dataclass
 class NewtonReport:
-    """What a nonlinear solve did.
+    """Record of the iterations of a nonlinear solve.
 
-    ``history`` has one line per attempt, for the reader, ``norms`` the residual after each iteration; ``tell`` hears of each.
-    ``is_stable`` is False where an unloaded shape was found of which the known one is no stable equilibrium.
+    ``history`` has one readable line per attempt, and ``norms`` the norm of the residual after each iteration; ``tell`` is
+    called with a progress message at each iteration. ``is_stable`` is False if an inverse solve finds an unloaded shape for
+    which the known loaded shape is not a stable equilibrium.
     """
 
     iterations: int = 0
@@ -26,22 +27,24 @@ class NewtonReport:
     is_stable: bool = True
 
     def count(self, norm: float) -> None:
-        """Count an iteration that ended with this norm of the residual."""
+        """Count one iteration that ended with a residual of this norm."""
         self.iterations += 1
         self.norms.append(norm)
         if self.tell is not None:
             self.tell(f"iteration {self.iterations}, residual {norm:.1e} mN/mm")
 
 
-FREE_STEPS, GROWTH = 5, 20.0  # the residual may grow so many times in the first steps
-PATIENCE = 4  # later it must halve in so many steps: where it crawls, smaller load steps are cheaper
+# in the first FREE_STEPS iterations the norm of the residual may reach GROWTH times its first value; later it must halve
+# within PATIENCE iterations, because smaller load steps are cheaper than many iterations
+FREE_STEPS, GROWTH = 5, 20.0
+PATIENCE = 4
 
 Residual = Callable[[np.ndarray], np.ndarray]
 Step = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def euclidean(r: np.ndarray) -> float:
-    """Norm of a vector that is whole."""
+    """Return the Euclidean norm of a vector that is not distributed over ranks."""
     return float(np.linalg.norm(r))
 
 
@@ -55,7 +58,7 @@ def newton(
     max_iterations: int = 30,
     norm: Callable[[np.ndarray], float] = euclidean,
 ) -> np.ndarray:
-    """Solve residual(x) = 0.
+    """Solve residual(x) = 0 by Newton's method with a line search.
 
     Parameters
     ----------
@@ -66,12 +69,12 @@ def newton(
     tolerance : float
         Absolute bound on the norm of r.
     norm : callable
-        r (n,) -> its Euclidean norm; where ranks have parts of r, that of all parts.
+        r (n,) -> its Euclidean norm, over all ranks if r is distributed.
 
     Raises
     ------
     ConvergenceError
-        With the residual norms, when the iterations run out or the line search finds no descent.
+        If the maximum number of iterations is reached, or the line search finds no descent; its history has the residual norms.
     """
     r = residual(x)
     norms = [norm(r)]
@@ -79,7 +82,7 @@ def newton(
         if len(norms) > max_iterations or not norms[-1] <= 1e3 * max(norms[0], tolerance):
             raise _failure(norms, "no convergence")
         if len(norms) > FREE_STEPS + PATIENCE and norms[-1] > 0.5 * norms[-1 - PATIENCE]:
-            raise _failure(norms, "it crawls")
+            raise _failure(norms, "convergence is too slow")
         try:
             dx = step(x, r)
         except FloatingPointError as error:
@@ -93,10 +96,12 @@ def newton(
 def _line_search(
     residual: Residual, x: np.ndarray, dx: np.ndarray, norms: list[float], norm: Callable[[np.ndarray], float]
 ) -> tuple[np.ndarray, np.ndarray, float]:
-    """Halve the step until the residual is finite and comes down; in the first steps it may grow, but not without limit.
+    """Halve the Newton step dx from x until the norm of the residual is small enough; return the new x, its residual and norm.
 
-    Far from the answer a full Newton step often raises the residual of nearly incompressible tissue (volume first,
-    shape later); cutting it there is what makes the iteration crawl.
+    The bound is the last norm, or in the first ``FREE_STEPS`` iterations ``GROWTH`` times the first norm.
+
+    Far from the solution a full Newton step often increases the residual of nearly incompressible tissue (the volume converges
+    before the shape); shortening such steps would make convergence slow.
     """
     limit = GROWTH * norms[0] if len(norms) <= FREE_STEPS else norms[-1]
     for halvings in range(8):
@@ -110,7 +115,7 @@ def _line_search(
 
 def _failure(norms: list[float], why: str) -> ConvergenceError:
     trace = " ".join(f"{n:.2e}" for n in norms[:2] + norms[2:][-6:])
-    return ConvergenceError(f"Newton stopped: {why}.", [f"{why}; residual norms [mN]: {trace}"])
+    return ConvergenceError(f"Newton's method stopped: {why}.", [f"{why}; residual norms [mN]: {trace}"])
 
 
 def minimise(
@@ -124,22 +129,22 @@ def minimise(
     damping: float = 1.0,
     max_iterations: int = 200,
 ) -> np.ndarray:
-    """Walk downhill in ``energy`` to a stationary point, residual = d energy / dx = 0.
+    """Minimise a function ``energy`` of x (n,) by damped Newton steps, until its gradient ``residual`` is 0 within tolerance.
 
-    Damped Newton (Levenberg 1944): slower than ``newton``, but it passes limit points and bifurcations, where it slides to
-    a stable solution. ``step(x, r, damping)`` solves (K + damping M) dx = -r.
+    The method (Levenberg 1944) is slower than ``newton``, but passes limit points and bifurcations and descends to a
+    stable solution. ``step(x, r, damping)`` solves (K + damping M) dx = -r.
 
     Raises
     ------
     ConvergenceError
-        When the iterations run out.
+        If the maximum number of iterations is reached.
     """
     E, r = energy(x), residual(x)
     norms = [float(np.linalg.norm(r))]
     for _ in range(max_iterations):
         if norms[-1] <= tolerance:
             return x
-        trial, E_trial = _downhill(energy, step, x, r, E, damping)
+        trial, E_trial = _descent_step(energy, step, x, r, E, damping)
         if trial is None:
             damping = max(4.0 * damping, 1e-6)
             if damping > 1e12:
@@ -152,8 +157,10 @@ def minimise(
     raise _failure(norms, "damped Newton ran out of iterations")
 
 
-def _downhill(energy, step, x: np.ndarray, r: np.ndarray, E: float, damping: float) -> tuple[np.ndarray | None, float]:
-    """One damped step, or None when it does not lead downhill (within the rounding of the energy)."""
+def _descent_step(
+    energy, step, x: np.ndarray, r: np.ndarray, E: float, damping: float
+) -> tuple[np.ndarray | None, float]:
+    """Try one damped Newton step from x; return the new x and its energy, or None and the old energy E if E does not decrease."""
     try:
         dx = step(x, r, damping)
     except FloatingPointError:
@@ -173,15 +180,16 @@ def ramp(
     first: float = 1.0,
     max_iterations: int = 120,
 ) -> np.ndarray:
-    """Walk a load factor from 0 to 1 in adaptive steps.
+    """Increase a load factor from 0 to 1 in adaptive steps, and return the solution at 1.
 
-    ``advance(x, factor)`` returns the solution at that factor or raises ConvergenceError; a failed step is halved, two
-    steps that succeed let the next one double.
+    ``advance(x, factor)`` returns the solution at that factor or raises ConvergenceError. A failed step is halved; after
+    the second success in a row and each further one, the step is doubled.
 
     Raises
     ------
     ConvergenceError
-        When the step has become smaller than ``smallest`` or the iterations run out, with all that was tried.
+        If the step becomes smaller than ``smallest``, or the maximum number of iterations is reached; with the history of all
+        attempts.
     """
     reached, size, streak = 0.0, first, 0
     while reached < 1.0:
@@ -189,12 +197,12 @@ def ramp(
         try:
             x = advance(x, target)
         except ConvergenceError as error:
-            report.history.append(f"load factor {reached:.4g} -> {target:.4g}: {error.history[-1]}")
+            report.history.append(f"load factor {reached:.4g} -> {target:.4g}: {(error.history or [error])[-1]}")
             size, streak = 0.5 * (target - reached), 0
             if size < smallest or report.iterations > max_iterations:
                 raise ConvergenceError(
-                    f"No equilibrium found beyond load factor {reached:.4g}: try stiffer tissue or another mesh, and look at "
-                    "folds and at the ends of the chest wall.",
+                    f"No equilibrium found beyond load factor {reached:.4g}: try stiffer tissue or another mesh, and "
+                    "check the geometry for folds and at the ends of the chest wall.",
                     report.history,
                 ) from error
             continue

@@ -1,4 +1,4 @@
-"""Initial value problems of many unknowns, stiff or not: diffrax, with what it says made plain."""
+"""Solution of initial value problems of ordinary differential equations, stiff or not, by the package diffrax."""
 
 from __future__ import annotations
 
@@ -6,20 +6,21 @@ from collections.abc import Callable
 from typing import Any, Literal, NamedTuple
 
 import diffrax
-import jax
 import jax.numpy as jnp
 from jax import Array
+
+from ..core.precision import use_double_precision
 
 Method = Literal["implicit", "explicit"]
 SOLVERS: dict[str, Callable[[], diffrax.AbstractSolver]] = {"implicit": diffrax.Kvaerno5, "explicit": diffrax.Tsit5}
 Rate = Callable[[Any, Array, Array], Array]
-"""(parameters, y, time) -> dy/dt, of the shape of y."""
+"""Right-hand side of the equation: (parameters, y, time) -> dy/dt, with the shape of y."""
 
-jax.config.update("jax_enable_x64", True)
+use_double_precision()
 
 
 class Accuracy(NamedTuple):
-    """How exactly, and with what."""
+    """Tolerances, method and maximum number of steps of a time integration."""
 
     relative: float = 1e-6
     absolute: float = 1e-9
@@ -27,28 +28,31 @@ class Accuracy(NamedTuple):
     max_steps: int = 100_000
 
 
-class Course(NamedTuple):
-    """What became of a state."""
+class Solution(NamedTuple):
+    """Result of a time integration."""
 
     y: Array
-    """At the times asked for (n_times, ...); what was not reached is infinite."""
+    """State at the requested times (n_times, ...); infinite at times that were not reached."""
     n_steps: Array
+    """Number of steps, including rejected ones."""
     is_done: Array
-    """Whether the last time was reached."""
+    """True if the last time was reached."""
     reached: Array
-    """The last time that was reached, asked for or not."""
+    """Last time that was reached; it may lie between two requested times."""
     last: Array
-    """The state there (...)."""
-    is_spent: Array
-    """Whether all steps were taken."""
+    """State at the time ``reached`` (...)."""
+    out_of_steps: Array
+    """True if the maximum number of steps was reached."""
 
 
-def course(rate: Rate, parameters: Any, start: Array, times: Array, accuracy: Accuracy) -> Course:
-    """Follow y' = rate from ``start`` at the first of ``times`` (n_times,) [s] to the last, which may be repeated.
+def integrate_ode(rate: Rate, parameters: Any, start: Array, times: Array, accuracy: Accuracy) -> Solution:
+    """Integrate y' = rate from ``start`` at the first of ``times`` (n_times,) [s] to the last; times may repeat.
 
-    "implicit" is Kvaerno's singly diagonal implicit method of order 5, for stiff systems (Kvaerno, BIT 44:489, 2004), "explicit"
-    that of Tsitouras (2011); both adapt their steps. A state may have any shape, and all of it then shares the steps: the way to
-    follow many sets of parameters in one call explicitly. Reverse derivatives go through; the choice of steps is not followed.
+    "implicit" is Kvaerno's singly diagonally implicit Runge-Kutta method of order 5, for stiff systems (Kvaerno, BIT 44:489,
+    2004); "explicit" is the Runge-Kutta method of Tsitouras
+    (2011). Both adapt the step length. A state may have any shape, and all its entries
+    share the steps, so many parameter sets can be integrated in one explicit call. The result has reverse-mode derivatives,
+    which do not include the choice of steps.
     """
     solution = diffrax.diffeqsolve(
         diffrax.ODETerm(lambda t, y, p: rate(p, y, t)),
@@ -65,10 +69,10 @@ def course(rate: Rate, parameters: Any, start: Array, times: Array, accuracy: Ac
     )
     (y, (last,)), (_, (reached,)) = solution.ys, solution.ts  # pyright: ignore[reportGeneralTypeIssues]
     is_done = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(y))
-    is_spent = solution.result == diffrax.RESULTS.max_steps_reached
-    return Course(y, solution.stats["num_steps"], is_done, reached, last, is_spent)
+    out_of_steps = solution.result == diffrax.RESULTS.max_steps_reached
+    return Solution(y, solution.stats["num_steps"], is_done, reached, last, out_of_steps)
 
 
 def _largest(error: Array) -> Array:
-    """Root of the mean square over the last axis, the largest of all sets."""
+    """Return the norm of the error estimate: root mean square over the last axis, maximum over all other axes."""
     return jnp.sqrt(jnp.max(jnp.mean(jnp.square(jnp.abs(error)), axis=-1)))

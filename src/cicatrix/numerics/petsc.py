@@ -1,6 +1,6 @@
-"""PETSc's C library, as much of it as solving linear systems over several ranks needs, without petsc4py.
+"""Minimal binding of PETSc's C library for linear systems distributed over ranks, without petsc4py.
 
-petsc4py is compiled for one NumPy and one Python; the library alone (Debian: libpetsc-real3.18) serves them all.
+petsc4py is compiled for one version of NumPy and Python; the C library (Debian: libpetsc-real3.18) works with all of them.
 """
 
 from __future__ import annotations
@@ -18,21 +18,21 @@ import numpy as np
 from ..core.errors import InputError, InvariantError
 from ..core.ranks import Ranks
 
-NAMES = ("petsc_real", "petsc")  # Debian's name, everyone's
+NAMES = ("petsc_real", "petsc")  # name in Debian; usual name
 DOUBLE, INSERT, NATURAL_REASONS = 1, 1, 0  # PETSC_DOUBLE, INSERT_VALUES
 NO_FACTOR = 92  # PETSC_ERR_MISSING_FACTOR
 
 
 class PetscError(InvariantError):
-    """PETSc refused a call."""
+    """Exception raised if a PETSc function returns an error code."""
 
 
 class Petsc:
-    """The library, initialised; ``call`` turns its error codes into exceptions."""
+    """Interface to the PETSc library: initialises it, calls its functions, and raises exceptions for their error codes."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         self._library = library
-        library.PetscOptionsSetValue(None, b"-no_signal_handler", b"true")  # Ctrl-C is Python's
+        library.PetscOptionsSetValue(None, b"-no_signal_handler", b"true")  # leave Ctrl-C to Python
         self.call("PetscInitializeNoArguments")
         silent = ctypes.cast(library.PetscIgnoreErrorHandler, c_void_p)
         self.call("PetscPushErrorHandler", silent, None)
@@ -43,45 +43,45 @@ class Petsc:
         atexit.register(self._close)
 
     def call(self, name: str, *arguments) -> None:
-        """Call a function; raises PetscError with PETSc's words where it fails."""
+        """Call a PETSc function; raises PetscError with PETSc's message if it fails."""
         code = getattr(self._library, name)(*arguments)
         if code:
             text = c_char_p()
             self._library.PetscErrorMessage(code, byref(text), None)
             words = (text.value or b"").decode()
             if code == NO_FACTOR:
-                raise InputError(f"PETSc lacks the factorisation that is asked for, MUMPS ({words})")
+                raise InputError(f"PETSc was built without the requested factorisation, MUMPS ({words})")
             raise PetscError(f"PETSc reports error {code} in {name}: {words}")
 
     def new(self, name: str, *arguments) -> c_void_p:
-        """Call a function whose last argument takes the handle that it makes."""
+        """Call a PETSc function that creates an object, and return the handle that it writes to its last argument."""
         handle = c_void_p()
         self.call(name, *arguments, byref(handle))
         return handle
 
     def integer(self, value: int):
-        """One PetscInt."""
+        """Convert an integer to PetscInt."""
         return np.ctypeslib.as_ctypes_type(self.int_type)(value)
 
     def communicator(self, ranks: Ranks) -> c_void_p:
-        """All ranks that were started.
+        """Return PETSc's communicator of all ranks.
 
         Raises
         ------
         InputError
-            If PETSc belongs to another MPI library than the one that connects the ranks.
+            If PETSc was built with another MPI library than the one that started the ranks.
         """
         comm, size = c_void_p.in_dll(self._library, "PETSC_COMM_WORLD"), c_int()
         self._library.MPI_Comm_size(comm, byref(size))
         if size.value != ranks.size:
             raise InputError(
-                f"PETSc's MPI library finds {size.value} ranks where there are {ranks.size}: start them with the mpiexec of that "
+                f"PETSc's MPI library finds {size.value} ranks instead of {ranks.size}: start them with the mpiexec of that "
                 "library (Debian: mpiexec.openmpi)"
             )
         return comm
 
     def set_options(self, options: dict[str, str | float], prefix: str) -> None:
-        """Set options of the objects with a prefix, where PETSC_OPTIONS has not."""
+        """Set options of the PETSc objects with this prefix, except options already set by PETSC_OPTIONS."""
         for name, value in options.items():
             key = f"-{prefix}{name}".encode()
             is_set = c_int()
@@ -112,18 +112,18 @@ def _candidates() -> list[str]:
 
 
 def is_installed() -> bool:
-    """Whether the library is on this machine; it is not loaded."""
+    """Return whether the PETSc library is installed on this machine, without loading it."""
     return bool(_candidates())
 
 
 @cache
 def petsc() -> Petsc:
-    """Load and initialise the library, once in a process.
+    """Load and initialise the PETSc library, once per process.
 
     Raises
     ------
     InputError
-        If it is not there, or is not built for real numbers in double precision.
+        If the library is not installed, or not built for real numbers in double precision.
     """
     reasons = []
     for path in _candidates():
@@ -135,5 +135,5 @@ def petsc() -> Petsc:
         return Petsc(library)
     why = f" ({'; '.join(reasons)})" if reasons else ""
     raise InputError(
-        f"PETSc is not there{why}: apt-get install python3-petsc4py, or set PETSC_DIR to where it was built"
+        f"PETSc was not found{why}: apt-get install python3-petsc4py, or set PETSC_DIR to the folder where it was built"
     )

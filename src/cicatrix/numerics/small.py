@@ -1,4 +1,4 @@
-"""Small linear systems, batched: elimination written out, so that no LAPACK call per point is compiled."""
+"""Batched solution of small linear systems by explicit elimination, which avoids one LAPACK call per point."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from jax import Array
 
 @partial(jnp.vectorize, signature="(n,n),(n)->(n)")
 def solve(A: Array, b: Array) -> Array:
-    """Solve A x = b by elimination with scaled rows and pivots: (..., n, n), (..., n) -> (..., n), for n of a few.
+    """Solve A x = b by elimination with row scaling and pivoting: (..., n, n), (..., n) -> (..., n), n small.
 
-    Rows may have different units. A singular matrix gives what is not finite; x is linear in b, and differentiable.
+    Rows may have different units. For a singular matrix the result is not finite; x is linear in b, and differentiable.
     """
     size = jnp.max(jnp.abs(A), axis=1, keepdims=True)
     rows = jnp.concatenate([A, b[:, None]], axis=1) / size
@@ -27,9 +27,9 @@ def solve(A: Array, b: Array) -> Array:
 
 
 def eliminate(A: Array, b: Array) -> Array:
-    """Solve A x = b by elimination without pivots, written out: (..., n, n), (..., n) -> (..., n), n small.
+    """Solve A x = b by unrolled elimination without pivoting: (..., n, n), (..., n) -> (..., n), n small.
 
-    Cheaper than :func:`solve`; for matrices that are near the identity or have a positive definite symmetric part.
+    This is cheaper than :func:`solve`, and valid for matrices near the identity or with a positive definite symmetric part.
     """
     n = b.shape[-1]
     rows = [[A[..., i, j] for j in range(n)] + [b[..., i]] for i in range(n)]

@@ -1,6 +1,7 @@
-"""Isotropic functions of symmetric 3 x 3 tensors by their eigenvalues, with derivatives that hold where eigenvalues coincide.
+"""Isotropic functions of symmetric 3 x 3 tensors in terms of eigenvalues, with derivatives valid at repeated eigenvalues.
 
-Derivatives of eigenvectors do not exist there; those of the functions do, by divided differences (Daleckii & Krein 1965).
+At repeated eigenvalues the eigenvectors have no derivatives, but the functions do; they are computed from divided differences
+(Daleckii & Krein 1965).
 """
 
 from __future__ import annotations
@@ -14,15 +15,15 @@ from jax import Array, lax
 
 from .tensors import product
 
-SWEEPS = 5  # of Jacobi's method; it is quadratic, so four bring 3 x 3 tensors to rounding
-COINCIDE = 1e-5  # relative gap of eigenvalues below which a divided difference loses more than its limit
+SWEEPS = 5  # sweeps of Jacobi's method; it converges quadratically, and four reach round-off for 3 x 3 tensors
+COINCIDE = 1e-5  # relative gap of eigenvalues below which the limit is more accurate than the divided difference
 PAIRS = ((0, 1), (0, 2), (1, 2))
 
 
 def eigh(C: Array) -> tuple[Array, Array]:
-    """Eigenvalues, in no order, and eigenvectors as columns of symmetric C (..., 3, 3) -> (..., 3), (..., 3, 3).
+    """Return unsorted eigenvalues, and eigenvectors as columns: symmetric C (..., 3, 3) -> (..., 3), (..., 3, 3).
 
-    Cyclic Jacobi rotations, written out: no LAPACK call per point. Not to be differentiated.
+    Explicit cyclic Jacobi rotations replace a LAPACK call per point. The result must not be differentiated.
     """
     a = [[C[..., i, j] for j in range(3)] for i in range(3)]
     one, zero = jnp.ones(C.shape[:-2]), jnp.zeros(C.shape[:-2])
@@ -39,7 +40,7 @@ def _swept(a: list[list[Array]], n: list[list[Array]]) -> tuple[list, list]:
 
 
 def _rotated(a: list[list[Array]], n: list[list[Array]], p: int, q: int) -> tuple[list, list]:
-    """Turn the plane of axes p and q so that a[p][q] vanishes."""
+    """Apply the Jacobi rotation in the plane of axes p and q that makes a[p][q] vanish; return the rotated a and n."""
     gap, twice = a[q][q] - a[p][p], 2.0 * a[p][q]
     reach = gap + jnp.where(gap < 0.0, -1.0, 1.0) * jnp.sqrt(gap * gap + twice * twice)
     t = jnp.where(twice == 0.0, 0.0, twice / jnp.where(reach == 0.0, 1.0, reach))
@@ -58,16 +59,19 @@ def _rotated(a: list[list[Array]], n: list[list[Array]], p: int, q: int) -> tupl
 
 
 def recomposed(values: Array, vectors: Array) -> Array:
-    """Sum of values n x n: (..., 3), (..., 3, 3) -> (..., 3, 3)."""
+    """Return the tensor with given eigenvalues and eigenvectors, sum y_i n_i x n_i: (..., 3), (..., 3, 3) -> (..., 3, 3)."""
     return product(vectors * values[..., None, :], jnp.swapaxes(vectors, -1, -2))
 
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def isotropic(function: Callable, C: Array, *parameters: Array) -> Array:
-    r"""Tensor :math:`\sum y_i(c_1, c_2, c_3) \, n_i \otimes n_i` of a symmetric C (..., 3, 3) -> (..., 3, 3).
+    r"""Return an isotropic function of a symmetric tensor, :math:`\sum y_i(c_1, c_2, c_3) \, n_i \otimes n_i`: C -> (..., 3, 3).
 
-    ``function(c, *parameters)`` maps eigenvalues (..., 3) to values (..., 3) and does not care for their order; it is
-    differentiable, and parameters are arrays or laws. The result has first derivatives, by C and by the parameters.
+    :math:`c_i` and :math:`n_i` are the eigenvalues and eigenvectors of C (..., 3, 3).
+
+    ``function(c, *parameters)`` maps eigenvalues c (..., 3) to values y (..., 3); it must be differentiable, and a
+    permutation of c must permute y. Parameters are arrays or laws. The result has first derivatives with respect to C and
+    the parameters.
     """
     c, n = eigh(C)
     return recomposed(function(c, *parameters), n)
@@ -90,7 +94,10 @@ def _isotropic_jvp(function, primals, tangents):
 
 
 def _divided(y: Array, c: Array, slopes: Array, i: int, j: int) -> Array:
-    """(y_i - y_j) / (c_i - c_j), or its limit."""
+    """Return the divided difference (y_i - y_j) / (c_i - c_j), or its limit for equal eigenvalues c.
+
+    y and c are (..., 3), and ``slopes`` the derivatives of y with respect to each eigenvalue.
+    """
     gap = c[..., i] - c[..., j]
     coincide = jnp.abs(gap) < COINCIDE * jnp.abs(c).max(axis=-1)
     limit = 0.5 * (slopes[i][..., i] - slopes[j][..., i] + slopes[j][..., j] - slopes[i][..., j])
@@ -99,9 +106,9 @@ def _divided(y: Array, c: Array, slopes: Array, i: int, j: int) -> Array:
 
 @partial(jax.custom_jvp, nondiff_argnums=(0,))
 def invariant(function: Callable, C: Array, *parameters: Array) -> Array:
-    """Scalar of the eigenvalues of a symmetric C (..., 3, 3) -> (...), with two derivatives by C.
+    """Return a scalar function of the eigenvalues of a symmetric C (..., 3, 3) -> (...), twice differentiable in C.
 
-    ``function(c, *parameters)`` maps (..., 3) to (...) and does not care for the order of the eigenvalues.
+    ``function(c, *parameters)`` maps eigenvalues (..., 3) to (...), independently of their order.
     """
     return function(eigh(C)[0], *parameters)
 

@@ -1,18 +1,20 @@
 """Closed-form 3 x 3 tensor algebra on batched arrays: no LAPACK call per point, differentiable and compiled.
 
-Components are written out here and nowhere else: compiled, that is ten times faster than cross products over a last axis
-of three.
+Formulas are written out in components: once compiled, this is ten times faster than cross products over a last axis of
+length three.
 """
 
 from __future__ import annotations
 
-import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 
-jax.config.update("jax_enable_x64", True)
+from ..core.precision import use_double_precision
 
-IDENTITY = jnp.eye(3)
+use_double_precision()
+
+IDENTITY = np.eye(3)
 
 
 def _components(F: Array) -> list[Array]:
@@ -20,7 +22,7 @@ def _components(F: Array) -> list[Array]:
 
 
 def cofactor(F: Array) -> Array:
-    """Cofactor J F^-T = d det F / dF: (..., 3, 3) -> (..., 3, 3)."""
+    """Return the cofactor J F^-T = d det F / dF: (..., 3, 3) -> (..., 3, 3)."""
     a, b, c, d, e, f, g, h, i = _components(F)
     rows = (
         (e * i - f * h, f * g - d * i, d * h - e * g),
@@ -31,41 +33,41 @@ def cofactor(F: Array) -> Array:
 
 
 def det(F: Array) -> Array:
-    """Determinant: (..., 3, 3) -> (...)."""
+    """Return the determinant: (..., 3, 3) -> (...)."""
     a, b, c, d, e, f, g, h, i = _components(F)
     return a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
 
 
 def inv(F: Array) -> Array:
-    """Inverse: (..., 3, 3) -> (..., 3, 3); the caller sees to it that det F is not 0."""
+    """Return the inverse matrix: (..., 3, 3) -> (..., 3, 3); the caller must ensure that det F is not 0."""
     return jnp.swapaxes(cofactor(F), -1, -2) / det(F)[..., None, None]
 
 
 def product(A: Array, B: Array) -> Array:
-    """Matrix product A B: (..., 3, 3), (..., 3, 3) -> (..., 3, 3); fuses with its neighbours, which a batched dot does not."""
+    """Matrix product A B: (..., 3, 3), (..., 3, 3) -> (..., 3, 3); XLA fuses it, unlike a batched dot."""
     return sum(A[..., :, k, None] * B[..., None, k, :] for k in range(3))  # pyright: ignore[reportReturnType]
 
 
 def right_cauchy_green(F: Array) -> Array:
-    """C = F^T F: (..., 3, 3) -> (..., 3, 3)."""
+    """Right Cauchy-Green tensor C = F^T F: (..., 3, 3) -> (..., 3, 3)."""
     return product(jnp.swapaxes(F, -1, -2), F)
 
 
 def along(F: Array, a: Array) -> Array:
-    """F a: (..., 3, 3), (..., 3) -> (..., 3)."""
+    """Matrix-vector product F a: (..., 3, 3), (..., 3) -> (..., 3)."""
     return jnp.sum(F * a[..., None, :], axis=-1)
 
 
 def first_invariant(F: Array) -> Array:
-    """I1 = tr(F^T F): (..., 3, 3) -> (...)."""
+    """First invariant I1 = tr(F^T F): (..., 3, 3) -> (...)."""
     return jnp.sum(F * F, axis=(-2, -1))
 
 
 def tangent_of(F: Array, S: Array, C: Array) -> tuple[Array, Array]:
-    """P = F S and dP/dF of a second Piola-Kirchhoff stress S (..., 3, 3) and its dS/dE, C (..., 3, 3, 3, 3), both symmetric.
+    """Return P = F S and dP/dF from a second Piola-Kirchhoff stress S (..., 3, 3) and C = dS/dE (..., 3, 3, 3, 3).
 
-    A_iJkL = delta_ik S_JL + F_iA C_AJBL F_kB: F (..., 3, 3) -> (..., 3, 3), (..., 3, 3, 3, 3).
+    S and C are symmetric, and A_iJkL = delta_ik S_JL + F_iA C_AJBL F_kB: F (..., 3, 3) -> (..., 3, 3), (..., 3, 3, 3, 3).
     """
     half = sum(F[..., :, a, None, None, None] * C[..., None, a, :, :, :] for a in range(3))
     whole = sum(half[..., :, :, None, b, :] * F[..., None, None, :, b, None] for b in range(3))  # pyright: ignore[reportIndexIssue]
-    return product(F, S), whole + IDENTITY[:, None, :, None] * S[..., None, :, None, :]
+    return product(F, S), jnp.asarray(whole + IDENTITY[:, None, :, None] * S[..., None, :, None, :])

@@ -1,4 +1,4 @@
-"""Independent pieces of work on several threads, taken up in their order."""
+"""Execution of independent tasks on several threads, with the results in the order of the tasks."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ Answer = TypeVar("Answer")
 
 
 def in_order(work: Callable[[Item], Answer], items: Iterable[Item]) -> Iterator[Answer]:
-    """Answers to all items in their order, so that sums of them do not depend on the number of threads.
+    """Yield ``work(item)`` for all items, in order, so that a sum over results does not depend on the number of threads.
 
-    As many threads as :func:`.native.threads` says work ahead, by one item each: no more answers are held than that.
+    :func:`.native.threads` threads work in parallel, one item each, and at most about that many results wait in RAM.
     """
     n = threads()
     if n == 1:

@@ -1,1 +1,1 @@
-"""What the surgeon asks."""
+"""Clinical outcomes: change of shape, and closure of the wound."""

@@ -1,4 +1,4 @@
-"""Outlines of a section before and after, compared."""
+"""Comparison of a section's outlines before and after surgery."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ def compare(before: np.ndarray, after: np.ndarray, skin: np.ndarray, nipple: int
     Parameters
     ----------
     before, after : (n, 3) array [mm]
-        Outline points in order around the section; the third component is the shift along the normal.
+        Outline points in order around the section; the third component is the displacement along the normal.
     skin : (n,) bool array
         Points on the skin; the others lie on the chest wall.
     nipple : int
-        Row of the nipple.
+        Index of the nipple among the points.
     """
     old, new = before[:, :2], after[:, :2]
     inward = signed_distance_to(old, new[skin])
@@ -35,13 +35,13 @@ def compare(before: np.ndarray, after: np.ndarray, skin: np.ndarray, nipple: int
 
 
 def area(outline: np.ndarray) -> float:
-    """Area inside a closed polygon (n, 2) [mm] -> [mm^2]."""
+    """Return the area inside a closed polygon (n, 2) [mm] -> [mm^2]."""
     x, y = outline.T
     return float(0.5 * abs(np.sum(x * np.roll(y, -1) - np.roll(x, -1) * y)))
 
 
 def signed_distance_to(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Distance of points (m, 2) from a closed polygon (n, 2) [mm], positive inside."""
+    """Return the distance of points (m, 2) from a closed polygon (n, 2), positive inside: (m,) [mm]."""
     start, edge = outline, np.roll(outline, -1, axis=0) - outline
     r = points[:, None] - start
     along = np.clip(np.sum(r * edge, axis=-1) / np.maximum(np.sum(edge**2, axis=-1), 1e-30), 0.0, 1.0)
@@ -54,12 +54,12 @@ def signed_distance_to(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def dent_depth(outline: np.ndarray) -> float:
-    """Largest distance of an outline (n, 2) from its convex hull [mm]."""
+    """Return the largest distance of an outline (n, 2) from its convex hull [mm]."""
     equations = ConvexHull(outline).equations
     return float(np.min(-(outline @ equations[:, :2].T + equations[:, 2]), axis=1).max())
 
 
 def _lengths(outline: np.ndarray) -> np.ndarray:
-    """Length of outline that belongs to each point (n,) [mm]."""
+    """Return the length of outline that belongs to each point (n,) [mm]: half the sum of its two edges."""
     edges = np.linalg.norm(np.roll(outline, -1, axis=0) - outline, axis=1)
     return 0.5 * (edges + np.roll(edges, 1))

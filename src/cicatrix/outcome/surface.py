@@ -1,4 +1,4 @@
-"""Surfaces of a solid before and after, compared."""
+"""Comparison of a solid's surfaces before and after surgery."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ def compare_surfaces(
     Parameters
     ----------
     before, after : (n, 3) array [mm]
-        Points.
+        Surface points.
     triangles : (k, 3) int array
-        The surface, seen from outside.
+        Triangles of the surface, counter-clockwise seen from outside.
     on_skin : (k,) bool array
-        Triangles of skin; the others are held.
+        Triangles on the skin; the others lie where the body is supported.
     nipple : int
-        Number of the nipple's point.
+        Index of the nipple among the points.
     """
     old, new = Surface(before, triangles), Surface(after, triangles)
     skin = np.unique(triangles[on_skin])

@@ -1,1 +1,1 @@
-"""Pages that people read: the report of a run, runs side by side, and the planning page."""
+"""Web pages: the report of a run, the comparison of several runs, and the planning page."""

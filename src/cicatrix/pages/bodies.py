@@ -1,4 +1,4 @@
-"""Bodies of a run as triangles that a page can draw: every visit, every position, whole and cut open."""
+"""Triangles of a run's bodies for drawing on a page: at every visit, in every position, whole and cut open."""
 
 from __future__ import annotations
 
@@ -10,21 +10,21 @@ from typing import Any
 import numpy as np
 
 from ..core.units import weeks_from_days
-from ..files.vtu import Frame, read_mesh, read_series
+from ..files.vtu import TimeStepFile, read_mesh, read_series
 from ..geometry.tetrahedra import owned_boundary
-from .account import Account
 from .cutting import Piece, clipped, face
 from .packing import packed
+from .run_view import RunView
 
-MOST_MOMENTS = 12  # per position that a page is given
-CUT_PERCENT = 99.9  # of values that a scale spans, where the highest are far above the others
-PRESENT = 0.5  # an element with less tissue than this share is drawn as a hole
+MAX_VISITS = 12  # largest number of visits per position on a page
+CUT_PERCENT = 99.9  # upper percentile of a colour scale if the largest values are far above the others
+PRESENT = 0.5  # elements filled with tissue to less than this fraction are drawn as a hole
 BEFORE = "before-"
-NAMES = {  # of what a body can be coloured by: what the page says, unit
-    "displacement": ("moved since before surgery", "mm"),
-    "shift": ("moved since the reference shape", "mm"),
+NAMES = {  # field to colour a body by -> its label on the page, its unit
+    "displacement": ("displacement since before surgery", "mm"),
+    "shift": ("displacement from the reference shape", "mm"),
     "strain_energy_density_kPa": ("strain energy density", "kPa"),
-    "filled_fraction": ("share that is filled with tissue", "1"),
+    "filled_fraction": ("fraction filled with tissue", "1"),
     "collagen_fraction": ("collagen, healthy = 1", "1"),
     "cells_fraction": ("cells, healthy = 1", "1"),
 }
@@ -34,22 +34,22 @@ UNITS = {"kPa": "kPa", "mm": "mm", "mm3": "mm³", "uJ": "µJ", "deg": "°"}
 
 @dataclass(frozen=True, eq=False)
 class Shape:
-    """A body in a position at a moment.
+    """Shape of a body in one position at one time.
 
     Parameters
     ----------
     position : str
         Upright, supine, prone, or "as loaded".
     label : str
-        The moment in words.
+        Name of the time, such as "before surgery" or "week 2".
     days : float
-        After surgery; below 0 for before it.
+        Days after surgery; negative: before surgery.
     points : (n, 3) array [mm]
-        Corners of elements.
+        Corners of the elements.
     cells : (m, 3 or 4) array
         Triangles of a section, tetrahedra of a solid.
     at_points, in_cells : dict of str to (n,) and (m,) array
-        What it can be coloured by.
+        Fields at points and in elements by which the body can be coloured.
     """
 
     position: str
@@ -62,68 +62,68 @@ class Shape:
 
     @property
     def is_solid(self) -> bool:
-        """Tetrahedra rather than triangles."""
+        """Whether the elements are tetrahedra (triangles otherwise)."""
         return self.cells.shape[1] == 4
 
     @property
     def present(self) -> np.ndarray:
-        """Elements that hold tissue (m,) bool."""
+        """Elements filled with tissue to at least :data:`PRESENT` (m,) bool."""
         return self.in_cells.get("filled_fraction", np.ones(len(self.cells))) >= PRESENT
 
     @property
     def cavity(self) -> np.ndarray:
-        """Elements that surgery takes out (m,) bool."""
+        """Elements that surgery removes (m,) bool."""
         return self.in_cells.get("cavity", np.zeros(len(self.cells))).astype(bool)
 
 
-def shapes_of(account: Account) -> list[Shape]:
-    """Shapes at the visits, in order of position and time; of a run without them, the states that it went through."""
-    frames = read_series(account.folder / "shapes")
-    if frames:
-        last = max(frame.cycle for frame in frames)
-        asked = account.asked("outcome", "positions", default=[])
-        ordered = sorted(_thinned(frames), key=lambda frame: _place(frame, asked))
-        return [_read(account.folder / "shapes", frame, *_visit(account, frame, last)) for frame in ordered]
-    frames = read_series(account.folder / "fields")
-    where = account.asked("coupling", "healing_position", default="as loaded")
-    return [_read(account.folder / "fields", f, where, _moment(account, f)) for f in _thinned(frames)]
+def shapes_of(view: RunView) -> list[Shape]:
+    """Read the shapes at visits, sorted by patient position and time; in a run without visits, those of the saved fields."""
+    step_files = read_series(view.folder / "shapes")
+    if step_files:
+        last = max(step_file.cycle for step_file in step_files)
+        asked = view.case_value("outcome", "positions", default=[])
+        ordered = sorted(_thinned(step_files), key=lambda step_file: _place(step_file, asked))
+        return [_read(view.folder / "shapes", step_file, *_visit(view, step_file, last)) for step_file in ordered]
+    step_files = read_series(view.folder / "fields")
+    where = view.case_value("coupling", "healing_position", default="as loaded")
+    return [_read(view.folder / "fields", f, where, _moment(view, f)) for f in _thinned(step_files)]
 
 
-def _thinned(frames: list[Frame]) -> list[Frame]:
-    """Evenly spaced frames of each part in time, the first and the last among them."""
-    chosen: list[Frame] = []
-    for part in dict.fromkeys(frame.part for frame in frames):
-        own = sorted((f for f in frames if f.part == part), key=lambda f: f.cycle)
-        rows = np.unique(np.rint(np.linspace(0, len(own) - 1, min(len(own), MOST_MOMENTS))).astype(int))
+def _thinned(step_files: list[TimeStepFile]) -> list[TimeStepFile]:
+    """Select at most :data:`MAX_VISITS` evenly spaced time steps of each part, including the first and the last."""
+    chosen: list[TimeStepFile] = []
+    for part in dict.fromkeys(step_file.part for step_file in step_files):
+        own = sorted((f for f in step_files if f.part == part), key=lambda f: f.cycle)
+        rows = np.unique(np.rint(np.linspace(0, len(own) - 1, min(len(own), MAX_VISITS))).astype(int))
         chosen += [own[row] for row in rows]
     return chosen
 
 
-def _place(frame: Frame, asked: list[str]) -> tuple[int, str, bool, int]:
-    """Positions in the order of the case, then time."""
-    position = frame.part.removeprefix(BEFORE)
+def _place(step_file: TimeStepFile, asked: list[str]) -> tuple[int, str, bool, int]:
+    """Return the sort key of a file: the patient position, in the order ``asked`` of the case, then the time."""
+    position = step_file.part.removeprefix(BEFORE)
     number = asked.index(position) if position in asked else len(asked)
-    return number, position, not frame.part.startswith(BEFORE), frame.cycle
+    return number, position, not step_file.part.startswith(BEFORE), step_file.cycle
 
 
-def _visit(account: Account, frame: Frame, last: int) -> tuple[str, str]:
-    if frame.part.startswith(BEFORE):
-        return frame.part.removeprefix(BEFORE), "before surgery"
-    if frame.cycle == 0:
-        return frame.part, "after surgery"
-    if frame.cycle == last and account.is_finished and account.is_closed:
-        return frame.part, "healed"
-    return frame.part, f"week {weeks_from_days(frame.time_days):.3g}"
+def _visit(view: RunView, step_file: TimeStepFile, last: int) -> tuple[str, str]:
+    if step_file.part.startswith(BEFORE):
+        return step_file.part.removeprefix(BEFORE), "before surgery"
+    if step_file.cycle == 0:
+        return step_file.part, "after surgery"
+    if step_file.cycle == last and view.is_finished and view.is_closed:
+        return step_file.part, "healed"
+    return step_file.part, f"week {weeks_from_days(step_file.time_days):.3g}"
 
 
-def _moment(account: Account, frame: Frame) -> str:
-    if account.kind == "lumpectomy" and frame.cycle == 0:
+def _moment(view: RunView, step_file: TimeStepFile) -> str:
+    if view.kind == "lumpectomy" and step_file.cycle == 0:
         return "after surgery"
-    return f"day {frame.time_days:.4g}" if frame.time_days else "at the start"
+    return f"day {step_file.time_days:.4g}" if step_file.time_days else "at the start"
 
 
-def _read(folder: Path, frame: Frame, position: str, label: str) -> Shape:
-    mesh = read_mesh(folder / frame.file)
+def _read(folder: Path, step_file: TimeStepFile, position: str, label: str) -> Shape:
+    mesh = read_mesh(folder / step_file.name)
     corners = 4 if mesh.cells[0].type.startswith("tetra") else 3
     used, renumbered = np.unique(mesh.cells[0].data[:, :corners], return_inverse=True)
     data = {name: np.asarray(values)[used] for name, values in mesh.point_data.items()}
@@ -134,34 +134,37 @@ def _read(folder: Path, frame: Frame, position: str, label: str) -> Shape:
         at_points["displacement" if since_surgery else "shift"] = np.linalg.norm(shift, axis=1)
         points = points if since_surgery else points + shift
     in_cells = {name: values[0] for name, values in mesh.cell_data.items() if values[0].ndim == 1}
-    days = -1.0 if frame.part.startswith(BEFORE) else frame.time_days
+    days = -1.0 if step_file.part.startswith(BEFORE) else step_file.time_days
     return Shape(position, label, days, points, renumbered.reshape(-1, corners), at_points, in_cells)
 
 
-def scene(shapes: list[Shape], account: Account) -> dict[str, Any]:
-    """What a page needs to draw them: triangles, colours per point and per triangle, and the range of each colour."""
+def scene(shapes: list[Shape], view: RunView) -> dict[str, Any]:
+    """Return the data for drawing the shapes: triangles, values per point and per triangle, and colour ranges."""
     height = _height(shapes[0])
     return {
         "dimension": 3 if shapes[0].is_solid else 2,
-        "isDownward": not shapes[0].is_solid and account.asked("image", "plane") == "axial",
-        "axes": _axes(shapes[0], account),
-        "side": account.asked("image", "side", default="left"),
+        "isDownward": not shapes[0].is_solid and view.case_value("image", "plane") == "axial",
+        "axes": _axes(shapes[0], view),
+        "side": view.case_value("image", "side", default="left"),
         "colours": _colours(shapes),
         "shapes": [_drawn(shape, height) for shape in shapes],
     }
 
 
-def _axes(shape: Shape, account: Account) -> list[str]:
-    if account.kind != "lumpectomy":
+def _axes(shape: Shape, view: RunView) -> list[str]:
+    if view.kind != "lumpectomy":
         return ["x", "y", "z"]
     names = ["left", "posterior", "superior"]
-    if shape.is_solid or account.asked("image", "plane") == "axial":
+    if shape.is_solid or view.case_value("image", "plane") == "axial":
         return names
     return names[1:] + names[:1]
 
 
 def _height(shape: Shape) -> np.ndarray:
-    """Distance of corners from the sagittal plane through the cavity, or the middle; below 0 on its medial side (k,) [mm]."""
+    """Return the signed distance of the corners from the cutting plane (k,) [mm], negative on the medial side.
+
+    The plane is the sagittal plane through the centre of the cavity, or through the median of the points if there is no cavity.
+    """
     x = shape.points[:, 0]
     middle = x[shape.cells[shape.cavity]].mean() if shape.cavity.any() else np.median(x)
     return (x - middle) * (1.0 if middle >= 0.0 else -1.0)
@@ -189,7 +192,7 @@ def _whole(shape: Shape) -> Piece:
 
 
 def _cut(shape: Shape, height: np.ndarray) -> Piece:
-    """What is left of a solid on the medial side, with the walls of its cavity and the face of the cut."""
+    """Return the medial part of a solid: its surface, the walls of its cavity and the face of the cut."""
     rows = np.flatnonzero(shape.present)
     triangles, owner = owned_boundary(shape.cells[rows])
     across = np.array([1.0 if height[np.argmax(shape.points[:, 0])] > 0.0 else -1.0, 0.0, 0.0])
@@ -212,14 +215,17 @@ def _shown(values: dict[str, np.ndarray]) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def _outline(shape: Shape) -> np.ndarray:
-    """Edges around a section, its cavity filled (n, 2)."""
+    """Return the outer edges of a section, with its cavity counted as filled (n, 2)."""
     edges = np.sort(shape.cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     unique, count = np.unique(edges, axis=0, return_counts=True)
     return unique[count == 1]
 
 
 def _colours(shapes: list[Shape]) -> list[dict[str, Any]]:
-    """What can be coloured, and from where to where: over all shapes alike; what points have, by those of the outer surface."""
+    """Return the fields to colour by, with label, unit and a range common to all shapes.
+
+    For a field at points, the range is taken over the outer surface.
+    """
     found: dict[str, list[np.ndarray]] = {}
     for shape in shapes:
         seen = np.unique(owned_boundary(shape.cells)[0]) if shape.is_solid else slice(None)
@@ -240,6 +246,6 @@ def _colours(shapes: list[Shape]) -> list[dict[str, Any]]:
 
 
 def _words(name: str) -> tuple[str, str]:
-    """A column's name as words, and its unit."""
+    """Split a field's name into words and unit."""
     stem, _, tail = name.rpartition("_")
     return (stem.replace("_", " "), UNITS[tail]) if tail in UNITS and stem else (name.replace("_", " "), "1")

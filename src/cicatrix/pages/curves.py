@@ -1,4 +1,4 @@
-"""Curves of a run: its history as columns with names and units, and the clinic's points beside a closing cavity."""
+"""Curves of a run: the columns of its history with names and units, and the closing cavity with clinical points."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .account import Account
+from .run_view import RunView
 
 TIMES = (
     "time_days",
@@ -15,8 +15,8 @@ TIMES = (
     "step",
     "cycle",
     "seconds",
-)  # what a history is drawn over, the first that it has
-UNITS = {  # ends of columns' names, longest first
+)  # candidates for the horizontal axis; the first one in the history is used
+UNITS = {  # suffix of a column's name -> unit; longest suffix first
     "g_per_mm3": "g/mm³",
     "per_mm3": "1/mm³",
     "percent": "%",
@@ -35,9 +35,9 @@ UNITS = {  # ends of columns' names, longest first
 CLINIC = {"days": [23, 32, 39, 45], "percent": [100, 60, 48, 40]}  # cavity on MRI; docs/theory/clinic.md
 
 
-def curves_of(account: Account) -> dict[str, Any] | None:
-    """Columns of the history that are numbers, by what they are drawn over; None without two rows."""
-    columns = {name: values for name, values in account.results.history.items() if values.dtype.kind in "if"}
+def curves_of(view: RunView) -> dict[str, Any] | None:
+    """Return the numeric columns of the history and the name of the horizontal axis; None with fewer than two rows."""
+    columns = {name: values for name, values in view.results.history.items() if values.dtype.kind in "if"}
     over = next((name for name in TIMES if name in columns), None)
     if over is None or columns[over].size < 2:
         return None
@@ -51,20 +51,20 @@ def curves_of(account: Account) -> dict[str, Any] | None:
 
 
 def words(name: str) -> tuple[str, str]:
-    """A column's name without its unit, and the unit; "1" for numbers without one."""
+    """Split a column's name into words and unit; the unit is "1" for pure numbers."""
     for tail, unit in UNITS.items():
         if name.endswith(f"_{tail}"):
             return name.removesuffix(f"_{tail}").replace("_", " "), unit
     return name.replace("_", " "), "1"
 
 
-def closing_of(account: Account) -> dict[str, Any] | None:
-    """How the cavity closes: open share over days [%], with the clinic's points; None for other runs."""
-    closed, days = account.column("closed_fraction"), account.column("time_days")
-    if account.kind != "lumpectomy" or closed.size == 0:
+def closing_of(view: RunView) -> dict[str, Any] | None:
+    """Return the open fraction of the cavity over time [%, days] with the clinical points; None if the run has no cavity."""
+    closed, days = view.column("closed_fraction"), view.column("time_days")
+    if view.kind != "lumpectomy" or closed.size == 0:
         return None
-    sizes = [name for name in ("open_volume_mm3", "open_area_mm2") if account.column(name).size]
-    size = account.column(sizes[0]) if sizes else np.zeros(0)
+    sizes = [name for name in ("open_volume_mm3", "open_area_mm2") if view.column(name).size]
+    size = view.column(sizes[0]) if sizes else np.zeros(0)
     return {
         "days": days.astype(float),
         "percent": 100.0 * (1.0 - closed),

@@ -1,4 +1,4 @@
-"""A body of tetrahedra cut open by a plane: what is left of its surface, and the flat face of the cut."""
+"""Cut a tetrahedral body open along a level set: clip its surface and compute the face of the cut."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """Triangles whose points lie on edges of a mesh, so that they move with it.
+    """Triangles with points on the edges of a mesh, so that mesh fields can be interpolated to them.
 
     Parameters
     ----------
     ends : (n, 2) array
-        Corners of the mesh between which each point lies; twice the same where it is one.
+        The two mesh corners between which each point lies; equal if the point is a corner.
     share : (n,) array [1]
-        How far along, 0 at the first.
+        Position along the edge: 0 at the first corner, 1 at the second.
     triangles : (m, 3) array
-        Rows of ``ends``.
+        Points of each triangle, as rows of ``ends``.
     owner : (m,) array
         Element that each triangle belongs to.
     """
@@ -29,12 +29,12 @@ class Piece:
     owner: np.ndarray
 
     def at(self, values: np.ndarray) -> np.ndarray:
-        """Of the mesh's corners (k, ...) -> at the points (n, ...)."""
+        """Interpolate values at the mesh corners (k, ...) to the points (n, ...)."""
         s = self.share.reshape(-1, *(1,) * (values.ndim - 1))
         return (1.0 - s) * values[self.ends[:, 0]] + s * values[self.ends[:, 1]]
 
     def joined(self, other: Piece) -> Piece:
-        """Both; where they meet each keeps its own points, so that the edge between them stays sharp."""
+        """Return both pieces as one; points on a common edge are not merged, so that the edge is drawn sharp."""
         return Piece(
             np.vstack([self.ends, other.ends]),
             np.concatenate([self.share, other.share]),
@@ -44,7 +44,7 @@ class Piece:
 
 
 def clipped(triangles: np.ndarray, owner: np.ndarray, height: np.ndarray) -> Piece:
-    """The part of a surface where the height is not above 0: triangles (m, 3), owner (m,), height at corners (k,)."""
+    """Return the part of a surface with height <= 0: triangles (m, 3), owner (m,), height at corners (k,)."""
     corners = [triangles[..., None].repeat(2, axis=2)[_inside(triangles, height) == 3]]
     owners = [owner[_inside(triangles, height) == 3]]
     one, of_one = _odd_first(triangles, owner, height, n_inside=1)
@@ -58,7 +58,10 @@ def clipped(triangles: np.ndarray, owner: np.ndarray, height: np.ndarray) -> Pie
 
 
 def face(cells: np.ndarray, chosen: np.ndarray, height: np.ndarray, points: np.ndarray, towards: np.ndarray) -> Piece:
-    """The cut at height 0 through chosen tetrahedra: cells (n, 4), chosen (n,) bool, points (k, 3); it looks ``towards`` (3,)."""
+    """Return the surface height = 0 inside chosen tetrahedra, with normals in the direction ``towards`` (3,).
+
+    cells (n, 4), chosen (n,) bool, height (k,), points (k, 3).
+    """
     rows = np.flatnonzero(chosen)
     tetrahedra = cells[rows]
     corners, owners = [], []
@@ -69,7 +72,7 @@ def face(cells: np.ndarray, chosen: np.ndarray, height: np.ndarray, points: np.n
         owners.append(owner)
     two = _inside(tetrahedra, height) == 2
     order = np.argsort(height[tetrahedra[two]], axis=1)
-    a, b, c, d = np.take_along_axis(tetrahedra[two], order, axis=1).T  # a and b inside
+    a, b, c, d = np.take_along_axis(tetrahedra[two], order, axis=1).T  # a and b have the lowest height
     corners += [_edges((a, c), (a, d), (b, d)), _edges((a, c), (b, d), (b, c))]
     owners += [rows[two]] * 2
     piece = _piece(np.concatenate(corners), np.concatenate(owners), height)
@@ -86,7 +89,10 @@ def _inside(cells: np.ndarray, height: np.ndarray) -> np.ndarray:
 def _odd_first(
     cells: np.ndarray, owner: np.ndarray, height: np.ndarray, n_inside: int
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Cells with so many corners inside, turned until the corner that is alone on its side comes first, and their owners."""
+    """Select the cells with ``n_inside`` corners at height <= 0; return them with the element that each belongs to.
+
+    The corners are rotated so that the one that is alone on its side of the cut comes first.
+    """
     chosen = _inside(cells, height) == n_inside
     picked = cells[chosen]
     is_inside = height[picked] <= 0.0
@@ -96,12 +102,12 @@ def _odd_first(
 
 
 def _edges(*pairs: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-    """Triangles by the ends of the edges that their corners lie on (m, 3, 2)."""
+    """Stack three pairs of arrays (m,) to triangles (m, 3, 2): the two ends of the mesh edge on which each corner lies."""
     return np.stack([np.stack(pair, axis=-1) for pair in pairs], axis=1)
 
 
 def _piece(corners: np.ndarray, owner: np.ndarray, height: np.ndarray) -> Piece:
-    """Number the points of triangles (m, 3, 2), each once."""
+    """Build a piece from triangles (m, 3, 2), with each point stored once."""
     ends, number = np.unique(np.sort(corners, axis=2).reshape(-1, 2), axis=0, return_inverse=True)
     low, high = height[ends].T
     share = np.divide(low, low - high, out=np.zeros(len(ends)), where=ends[:, 0] != ends[:, 1])

@@ -1,4 +1,4 @@
-"""A run in a process of its own, that a page starts, watches and stops."""
+"""Run of a case in a separate process, which the planning page starts, watches and stops."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from typing import Any
 from ..files.history import read_history
 from ..runs.manifest import read_manifest
 
-PATIENCE_S = 60.0  # for a run to write its last checkpoint
-TAIL = 12  # lines of a log that a page is shown
+PATIENCE_S = 60.0  # time that a run has to write its last checkpoint
+TAIL = 12  # number of last log lines shown on the page
 
 
 @dataclass
 class Job:
-    """At most one run at a time.
+    """Process that runs cases, one at a time.
 
     Parameters
     ----------
     folder : Path
-        Where cases and runs lie.
+        Folder of the cases and runs.
     """
 
     folder: Path
@@ -32,16 +32,16 @@ class Job:
 
     @property
     def is_running(self) -> bool:
-        """Whether the process still works."""
+        """Whether the process is still running."""
         return self._process is not None and self._process.poll() is None
 
     @property
     def out(self) -> Path | None:
-        """Folder of the last run that was started."""
+        """Folder of the run that was started last."""
         return None if self._case is None else self._case.with_suffix("")
 
     def start(self, case: Path) -> bool:
-        """Run a case, or go on with it where it was stopped; False if another still runs."""
+        """Run a case, or resume it if it was stopped; return False if another run is still in progress."""
         if self.is_running:
             return False
         self._case = case
@@ -53,7 +53,7 @@ class Job:
         return True
 
     def stop(self) -> None:
-        """Interrupt the run as Ctrl-C does, and wait until its state is kept."""
+        """Interrupt the run like Ctrl-C and wait until it has saved its state."""
         if self._process is None or not self.is_running:
             return
         self._process.send_signal(signal.SIGTERM)
@@ -64,7 +64,7 @@ class Job:
             self._process.wait()
 
     def progress(self) -> dict[str, Any]:
-        """How far it is: state and sentence, the last lines, how much is closed on which day."""
+        """Return the state of the run, a sentence about it, its last log lines, and the closed fraction over days."""
         if self._process is None or self._case is None or self.out is None:
             return {"state": "idle", "sentence": "No run has been started.", "lines": [], "days": [], "closed": []}
         history = read_history(self.out / "history.csv")
@@ -87,9 +87,9 @@ class Job:
         assert self._process is not None
         assert self.out is not None
         if self.is_running:
-            return "running", "The run works."
+            return "running", "The run is in progress."
         manifest = read_manifest(self.out)
-        if manifest is None:  # refused before it began
+        if manifest is None:  # the case was refused before the run began
             lines = self._log.read_text(encoding="utf-8", errors="replace").splitlines()
             return "failed", lines[-1] if lines else f"The run ended with code {self._process.returncode}."
         state, sentence = manifest["status"]["state"], manifest["status"]["sentence"]

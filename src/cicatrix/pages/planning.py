@@ -1,4 +1,4 @@
-"""What a planned resection would take, from the labels alone; and the case file that asks for it."""
+"""Measures of a planned resection, computed from the labels only, and the case file for it."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ from ..files.atomic import write_bytes
 from ..files.toml import toml_text
 from ..geometry.labels import TISSUES, Label
 from ..geometry.volume import Volume
-from ..kinds.lumpectomy.body import LEAST_SKIN_FLAP_MM
+from ..kinds.lumpectomy.body import MIN_SKIN_FLAP_MM
 from ..kinds.registry import load_case
 from .cosmesis import ML
 
-PITCH_UM = {2: 50.0, 3: 250.0}  # of the automaton's lattice: minutes rather than hours
+PITCH_UM = {2: 50.0, 3: 250.0}  # lattice pitch by dimension; coarser than the default, so that runs are shorter
 SOLID_MESH = {"edge_mm": 11.0, "cavity_edge_mm": 5.0}
 
 
-class Wish(Table):
-    """What the page asks for."""
+class ResectionPlan(Table):
+    """Resection and model settings that the page sends."""
 
     centre_mm: Vector
     radius_mm: Positive = 12.0
@@ -40,13 +40,13 @@ class Wish(Table):
     mode: Literal["one-way", "two-way"] = "two-way"
 
     @classmethod
-    def of(cls, table: Any) -> Wish:
-        """Check what a page sent.
+    def of(cls, table: Any) -> ResectionPlan:
+        """Validate the settings that a page sent.
 
         Raises
         ------
         InputError
-            If it is no wish; with the first fault.
+            If they are not valid; the message names the first fault.
         """
         try:
             return cls.model_validate(table)
@@ -58,18 +58,18 @@ class Wish(Table):
 
 @dataclass(frozen=True, eq=False)
 class PlanningTable:
-    """A segmented breast on which resections are tried.
+    """Segmented breast on which resections are planned.
 
     Parameters
     ----------
     picture : Volume
-        Greys (nz, ny, nx) uint8.
+        Grey values (nz, ny, nx) uint8.
     labels : Volume
-        (nz, ny, nx).
+        Tissue labels (nz, ny, nx).
     image_keys : mapping
-        The ``[image]`` table of a case that starts from here; a path in it is absolute.
+        Keys of the ``[image]`` table for the case file; paths are absolute.
     notes : tuple of str
-        What there is to tell.
+        Notes from reading and segmenting the image, shown on the page.
     """
 
     picture: Volume
@@ -79,12 +79,15 @@ class PlanningTable:
 
     @cached_property
     def breast(self) -> np.ndarray:
-        """Voxels of tissue (nz, ny, nx) bool."""
+        """Voxels that belong to the breast (nz, ny, nx) bool."""
         return np.isin(self.labels.values, TISSUES)
 
     @cached_property
     def depth_mm(self) -> np.ndarray:
-        """Distance of each voxel's centre to the nearest that is no breast, half a voxel less (nz, ny, nx) [mm]."""
+        """Depth of each voxel in the breast (nz, ny, nx) [mm].
+
+        The depth is the distance between centres to the nearest voxel outside the breast, minus half a voxel.
+        """
         return distance_transform_edt(self.breast, sampling=self.labels.spacing_mm[::-1]) - 0.5 * min(
             self.labels.spacing_mm
         )  # pyright: ignore[reportOperatorIssue]
@@ -95,25 +98,25 @@ class PlanningTable:
         return float(np.count_nonzero(self.breast) * np.prod(self.labels.spacing_mm))
 
     def first_centre(self) -> np.ndarray:
-        """Where to start (3,) LPS [mm]: the tumour's centroid, or the place farthest from every border."""
+        """Return the initial centre of the resection (3,) LPS [mm]: the tumour's centroid, or else the deepest voxel."""
         tumour = np.argwhere(self.labels.values == Label.TUMOUR)
         at = tumour.mean(axis=0) if len(tumour) else np.unravel_index(int(np.argmax(self.depth_mm)), self.labels.shape)
         return self.labels.position(np.asarray(at, float))
 
-    def measured(self, wish: Wish) -> dict[str, Any]:
-        """Volume removed and its share, margin around the tumour, depth of the centre, and what speaks against it.
+    def measured(self, plan: ResectionPlan) -> dict[str, Any]:
+        """Return volume removed, its share of the breast, margin around the tumour, depth of the centre, and warnings.
 
-        A voxel on the ball's border counts by how much of it lies inside, to first order. Tissue within
-        :data:`..study.plans.LEAST_SKIN_FLAP_MM` of the surface stays, as it does in a run.
+        A voxel on the border of the ball counts by the fraction inside, to first order. Tissue within
+        :data:`..kinds.lumpectomy.body.MIN_SKIN_FLAP_MM` of the surface is not removed, as in a run.
         """
-        centre = np.array(wish.centre_mm)
+        centre = np.array(plan.centre_mm)
         away = self._away(centre)
         across = float(np.cbrt(np.prod(self.labels.spacing_mm)))
-        inside = np.clip(0.5 + (wish.radius_mm - away) / across, 0.0, 1.0)
-        taken = inside * (self.breast & (self.depth_mm >= LEAST_SKIN_FLAP_MM))
+        inside = np.clip(0.5 + (plan.radius_mm - away) / across, 0.0, 1.0)
+        taken = inside * (self.breast & (self.depth_mm >= MIN_SKIN_FLAP_MM))
         removed = float(taken.sum() * np.prod(self.labels.spacing_mm))
         tumour = self.labels.values == Label.TUMOUR
-        margin = float(wish.radius_mm - away[tumour].max()) if tumour.any() else None
+        margin = float(plan.radius_mm - away[tumour].max()) if tumour.any() else None
         depth = float(self.labels.with_values(self.depth_mm).sample(centre[None])[0])
         return {
             "removed_ml": removed * ML,
@@ -121,53 +124,53 @@ class PlanningTable:
             "percent": 100.0 * removed / self.breast_mm3,
             "margin_mm": margin,
             "depth_mm": depth,
-            "warnings": list(self._against(wish, depth, margin)),
+            "warnings": list(self._warnings(plan, depth, margin)),
         }
 
     def _away(self, centre: np.ndarray) -> np.ndarray:
         z, y, x = (self.labels.axis(number) for number in range(3))
         return np.sqrt((z[:, None, None] - centre[2]) ** 2 + (y[:, None] - centre[1]) ** 2 + (x - centre[0]) ** 2)
 
-    def _against(self, wish: Wish, depth: float, margin: float | None):
-        if depth < LEAST_SKIN_FLAP_MM:
-            yield f"The centre must lie at least {LEAST_SKIN_FLAP_MM:g} mm inside the breast; it lies {depth:.1f} mm inside."
+    def _warnings(self, plan: ResectionPlan, depth: float, margin: float | None):
+        if depth < MIN_SKIN_FLAP_MM:
+            yield f"The centre must lie at least {MIN_SKIN_FLAP_MM:g} mm inside the breast; it lies {depth:.1f} mm inside."
         widest = float(self.depth_mm.max())
-        if wish.radius_mm > widest:
-            yield f"The radius must be smaller than the breast, where the largest ball has {widest:.0f} mm."
-        if margin is not None and margin < wish.margin_mm:
-            yield f"The tumour keeps {margin:.1f} mm of margin; {wish.margin_mm:g} mm are wanted."
+        if plan.radius_mm > widest:
+            yield f"The radius must be smaller; the largest ball inside the breast has a radius of {widest:.0f} mm."
+        if margin is not None and margin < plan.margin_mm:
+            yield f"The margin around the tumour is {margin:.1f} mm; {plan.margin_mm:g} mm are wanted."
 
-    def case_text(self, wish: Wish, folder: Path) -> str:
-        """The case file, its paths relative to ``folder``."""
+    def case_text(self, plan: ResectionPlan, folder: Path) -> str:
+        """Return the text of the case file, with paths relative to ``folder``."""
         image = {
             key: os.path.relpath(value, folder) if isinstance(value, Path) else value
             for key, value in self.image_keys.items()
         }
         tables = {
             "kind": "lumpectomy",
-            "dimension": wish.dimension,
+            "dimension": plan.dimension,
             "image": image,
             "resection": {
-                "centre_mm": [round(c, 2) for c in wish.centre_mm],
-                "radius_mm": wish.radius_mm,
-                "margin_mm": wish.margin_mm,
+                "centre_mm": [round(c, 2) for c in plan.centre_mm],
+                "radius_mm": plan.radius_mm,
+                "margin_mm": plan.margin_mm,
             },
-            "healing": {"model": wish.model, "pitch_um": PITCH_UM[wish.dimension]},
-            "coupling": {"mode": wish.mode},
+            "healing": {"model": plan.model, "pitch_um": PITCH_UM[plan.dimension]},
+            "coupling": {"mode": plan.mode},
         }
-        return toml_text(tables | ({"mesh": SOLID_MESH} if wish.dimension == 3 else {}))
+        return toml_text(tables | ({"mesh": SOLID_MESH} if plan.dimension == 3 else {}))
 
 
-def save_case(table: PlanningTable, wish: Wish, folder: Path) -> Path:
-    """Write the case as ``plan-1.toml``, ``plan-2.toml``, ...; the same wish keeps the file that it has.
+def save_case(table: PlanningTable, plan: ResectionPlan, folder: Path) -> Path:
+    """Write the case as ``plan-1.toml``, ``plan-2.toml``, ...; a file that has the same settings already is reused.
 
     Raises
     ------
     InputError
-        If it is no case that can be run; nothing is written then.
+        If the case is not valid; no file is written then.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    text = table.case_text(wish, folder)
+    text = table.case_text(plan, folder)
     for number in range(1, 10_000):
         path = folder / f"plan-{number}.toml"
         if not path.exists():

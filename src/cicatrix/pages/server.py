@@ -1,7 +1,7 @@
-"""The planning page's server: this machine alone, one secret path, no request from another origin.
+"""Server of the planning page: it listens on this machine only, under a secret path, and refuses other origins.
 
-It speaks to one browser on the loopback address, so the standard library's server is enough; what it must get right is
-whom it answers: docs/decisions/0024.
+It serves one browser on the loopback address, so the server of the standard library is enough. Its security rests on
+which requests it answers: docs/decisions/0024.
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ from ..core.errors import CicatrixError, InputError
 from ..core.version import __version__
 from .job import Job
 from .packing import encoded, write_data
-from .planning import PlanningTable, Wish, save_case
+from .planning import PlanningTable, ResectionPlan, save_case
 from .report import map_stops, write_report
 from .slices import nifti, zones
 from .writing import copy_assets, write_page
 
 HOST = "127.0.0.1"
-MOST_BYTES = 100_000  # of a request
+MAX_BYTES = 100_000  # size limit of a request
 HEADERS = {
     "Cache-Control": "no-store",
     "X-Content-Type-Options": "nosniff",
@@ -39,23 +39,23 @@ HEADERS = {
 
 
 class Planner:
-    """What the page can ask for.
+    """Actions and files behind the planning page.
 
     Parameters
     ----------
     table : PlanningTable
         The segmented breast.
     out : Path
-        Where cases and runs go.
+        Folder for cases and runs.
     site : Path
-        Folder that the page's files are written to.
+        Folder for the page's own files.
     """
 
     def __init__(self, table: PlanningTable, out: Path, site: Path):
         self.table, self.out, self.site = table, out, site
         self.job = Job(out)
         self._one_at_a_time = threading.Lock()
-        self.acts: dict[str, Callable[[Any], dict[str, Any]]] = {
+        self.actions: dict[str, Callable[[Any], dict[str, Any]]] = {
             "measure": self._measure,
             "save": self._save,
             "start": self._start,
@@ -68,39 +68,39 @@ class Planner:
     def _write_site(self) -> None:
         copy_assets(self.site / "assets")
         centre = self.table.first_centre()
-        wish = Wish(centre_mm=tuple(centre.tolist()))
+        plan = ResectionPlan(centre_mm=tuple(centre.tolist()))
         grid = self.table.picture
         volumes = {
             "picture": grid,
             "labels": self.table.labels,
-            "zones": zones(grid, centre, wish.radius_mm, wish.margin_mm),
+            "zones": zones(grid, centre, plan.radius_mm, plan.margin_mm),
         }
         content = {
             "volumes": {name: encoded(nifti(volume)) for name, volume in volumes.items()},
             "labels": ["air", "fat", "gland", "skin", "tumour", "chest"],
             "centre": centre,
-            "radius": wish.radius_mm,
-            "margin": wish.margin_mm,
+            "radius": plan.radius_mm,
+            "margin": plan.margin_mm,
             "grid": {"shape": grid.shape[::-1], "spacing": grid.spacing_mm, "origin": grid.origin_mm},
         }
         write_data(self.site / "data" / "slices.js", "A", "slices", content)
         write_data(self.site / "data" / "maps.js", "A", "maps", map_stops())
-        values = {"version": __version__, "assets": "assets", "letter": "A", "wish": wish, "notes": self.table.notes}
+        values = {"version": __version__, "assets": "assets", "letter": "A", "plan": plan, "notes": self.table.notes}
         write_page(self.site / "index.html", "plan.html", {**values, "connect": "'self' data: blob:"})
 
     def _measure(self, content: Any) -> dict[str, Any]:
-        return self.table.measured(Wish.of(content))
+        return self.table.measured(ResectionPlan.of(content))
 
     def _save(self, content: Any) -> dict[str, Any]:
         with self._one_at_a_time:
-            path = save_case(self.table, Wish.of(content), self.out)
+            path = save_case(self.table, ResectionPlan.of(content), self.out)
         return {"case": path.name, "text": path.read_text(encoding="utf-8"), "folder": str(self.out)}
 
     def _start(self, content: Any) -> dict[str, Any]:
         with self._one_at_a_time:
-            path = save_case(self.table, Wish.of(content), self.out)
+            path = save_case(self.table, ResectionPlan.of(content), self.out)
             if not self.job.start(path):
-                raise InputError("a run is going on; stop it first")
+                raise InputError("a run is in progress; stop it first")
         return {"case": path.name}
 
     def _stop(self, content: Any) -> dict[str, Any]:
@@ -108,7 +108,7 @@ class Planner:
         return self.job.progress()
 
     def _report(self, content: Any) -> dict[str, Any]:
-        """Write the report of the last run, as far as it is; where the page finds it."""
+        """Write the report of the last run, finished or not, and return its address."""
         if self.job.out is None or not self.job.out.is_dir():
             raise InputError("there is no run to report on; start one first")
         with self._one_at_a_time:
@@ -116,7 +116,7 @@ class Planner:
         return {"page": f"report/{self.job.out.name}/index.html"}
 
     def file(self, path: str) -> Path | None:
-        """The file that a path below the secret means, if there is one."""
+        """Return the file for a path below the secret; None if there is none or it lies outside the allowed folders."""
         root, rest = self.site, path or "index.html"
         if path.startswith("report/"):
             run, _, rest = path.removeprefix("report/").partition("/")
@@ -128,7 +128,7 @@ class Planner:
 
 
 class PlanServer(ThreadingHTTPServer):
-    """Serves a planner at a secret path."""
+    """HTTP server that gives access to a planner under a secret path."""
 
     daemon_threads = True
 
@@ -138,17 +138,17 @@ class PlanServer(ThreadingHTTPServer):
 
     @property
     def address(self) -> str:
-        """Where the page is."""
+        """Address of the page, including the secret."""
         return f"http://{HOST}:{self.server_port}/{self.token}/"
 
     @property
     def hosts(self) -> set[str]:
-        """What a request may call this server: other names could be another site's that lead here."""
+        """Values of the Host header that are accepted; another name could be another site's domain that resolves here."""
         return {f"{HOST}:{self.server_port}", f"localhost:{self.server_port}"}
 
 
 class Handler(BaseHTTPRequestHandler):
-    """One request."""
+    """Handler of one request."""
 
     server: PlanServer
     server_version = "cicatrix"
@@ -156,36 +156,36 @@ class Handler(BaseHTTPRequestHandler):
     timeout = 30
 
     def do_GET(self) -> None:
-        """Send a file of the page, or of a report."""
+        """Send a file of the page or of a report."""
         path = self._admitted()
         if path is None:
             return
         found = self.server.planner.file(path)
         if found is None:
-            self._say(HTTPStatus.NOT_FOUND, {"error": "there is no such page"})
+            self._send_json(HTTPStatus.NOT_FOUND, {"error": "there is no such page"})
             return
         kind = mimetypes.guess_type(found.name)[0] or "application/octet-stream"
         self._send(HTTPStatus.OK, found.read_bytes(), kind)
 
     def do_POST(self) -> None:
-        """Do what the page asks for."""
+        """Perform the action that the page requests."""
         path = self._admitted()
         if path is None:
             return
-        act = self.server.planner.acts.get(path)
-        if act is None:
-            self._say(HTTPStatus.NOT_FOUND, {"error": "there is nothing of this name to do"})
+        action = self.server.planner.actions.get(path)
+        if action is None:
+            self._send_json(HTTPStatus.NOT_FOUND, {"error": "there is no action of this name"})
             return
         try:
-            self._say(HTTPStatus.OK, act(self._content()))
+            self._send_json(HTTPStatus.OK, action(self._content()))
         except CicatrixError as error:
-            self._say(HTTPStatus.UNPROCESSABLE_ENTITY, {"error": str(error)})
+            self._send_json(HTTPStatus.UNPROCESSABLE_ENTITY, {"error": str(error)})
         except Exception as error:
-            self._say(HTTPStatus.INTERNAL_SERVER_ERROR, {"error": f"a fault inside cicatrix ({type(error).__name__})"})
+            self._send_json(HTTPStatus.INTERNAL_SERVER_ERROR, {"error": f"internal error ({type(error).__name__})"})
             raise
 
     def _admitted(self) -> str | None:
-        """The path below the secret, or None once the request has been refused."""
+        """Return the path below the secret; if the request is not allowed, refuse it and return None."""
         parts = urlsplit(self.path)
         token, _, rest = unquote(parts.path).removeprefix("/").partition("/")
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site", "none")
@@ -196,7 +196,7 @@ class Handler(BaseHTTPRequestHandler):
             and site in ("none", "same-origin")
             and hmac.compare_digest(token.encode(), self.server.token.encode())
         ):
-            self._say(HTTPStatus.FORBIDDEN, {"error": "this page answers its own browser tab alone"})
+            self._send_json(HTTPStatus.FORBIDDEN, {"error": "only the browser tab that opened this page may use it"})
             return None
         return rest
 
@@ -204,14 +204,14 @@ class Handler(BaseHTTPRequestHandler):
         if self.headers.get_content_type() != "application/json":
             raise InputError("a request must be JSON")
         length = self.headers.get("Content-Length", "0")
-        if not length.isdecimal() or int(length) > MOST_BYTES:
-            raise InputError(f"a request must be shorter than {MOST_BYTES} bytes")
+        if not length.isdecimal() or int(length) > MAX_BYTES:
+            raise InputError(f"a request must be shorter than {MAX_BYTES} bytes")
         try:
             return json.loads(self.rfile.read(int(length)) or b"{}")
         except ValueError:
             raise InputError("a request must be JSON") from None
 
-    def _say(self, status: HTTPStatus, content: dict[str, Any]) -> None:
+    def _send_json(self, status: HTTPStatus, content: dict[str, Any]) -> None:
         self._send(status, json.dumps(content, allow_nan=False).encode(), "application/json")
 
     def _send(self, status: HTTPStatus, body: bytes, kind: str) -> None:
@@ -222,4 +222,4 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(body)
 
     def log_message(self, format: str, *args: object) -> None:
-        """Say nothing: the address holds the secret."""
+        """Log nothing, because the address contains the secret."""

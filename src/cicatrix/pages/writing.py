@@ -1,4 +1,4 @@
-"""Templates and assets: from values to the files of a page. Whatever a template is given is escaped."""
+"""Fill templates and copy assets to make the files of a page; all values in templates are escaped."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ TEMPLATES = Environment(
 
 
 def rendered(template: str, values: Mapping[str, Any]) -> str:
-    """A page as text."""
+    """Return a filled template as text."""
     return TEMPLATES.get_template(template).render(**values)
 
 
 def write_page(path: Path, template: str, values: Mapping[str, Any]) -> None:
-    """Write a page, whole or not at all."""
+    """Write a page atomically."""
     write_bytes(path, rendered(template, values).encode())
 
 
 def copy_assets(folder: Path) -> None:
-    """Put scripts, style and licences into ``folder``."""
+    """Copy scripts, style sheet and licences to ``folder``."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in ASSETS:
         with resources.as_file(asset(name)) as source:
@@ -41,5 +41,5 @@ def copy_assets(folder: Path) -> None:
 
 
 def asset(name: str) -> Any:
-    """A file that comes with the package."""
+    """Return a file in the package's ``assets`` folder."""
     return resources.files("cicatrix.pages") / "assets" / name

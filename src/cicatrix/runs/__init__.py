@@ -1,1 +1,1 @@
-"""The folder of a run, and the one driver that fills it."""
+"""The folder of a run, and the driver that runs every kind of case and writes the folder."""

@@ -1,8 +1,8 @@
-"""Checkpoints: named arrays in an npz and scalars in a JSON that vouches for it by hash.
+"""Checkpoints: named arrays in an npz file, and scalars in a JSON file that also has the hash of the arrays.
 
-``state-000012.npz`` is written first, ``state-000012.json`` last: the JSON makes the pair valid. The pair of the
-cycle before is kept, so a damaged newest one costs one cycle. The bytes depend on the content alone (fixed dates
-inside the npz), so two runs can be compared file by file.
+``state-000012.npz`` is written first and ``state-000012.json`` last: the JSON makes the pair valid. The previous pair is kept,
+so that if the newest one is damaged only the work since the previous one is lost. The bytes depend on the content alone (the
+dates inside the npz are fixed), so two runs can be compared file by file.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ from ..core.errors import InputError
 from ..files.atomic import TEMPORARY, write_bytes, write_json
 
 ZIP_DATE = (1980, 1, 1, 0, 0, 0)
-KEPT = 2
+N_CHECKPOINTS = 2  # number of checkpoints that remain on disk
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """What a run needs to go on.
+    """State from which a run can be resumed.
 
     Parameters
     ----------
     cycle : int
-        The cycle at whose end it was taken.
+        Cycle at whose end the checkpoint was written.
     arrays : dict of str to array
-        State, bit for bit.
+        Arrays of the state, bit for bit.
     scalars : dict
-        Numbers and texts that JSON can hold; floats come back exactly.
+        Numbers and texts of the state that JSON can represent; floats are exact.
     notes : tuple of str
-        Sentences about newer checkpoints that were damaged and passed over.
+        Sentences about newer checkpoints that were damaged and skipped.
     """
 
     cycle: int
@@ -50,18 +50,18 @@ class Checkpoint:
 def save_checkpoint(
     folder: Path, cycle: int, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any] | None = None
 ) -> None:
-    """Write a checkpoint; older ones but the last are removed after it is complete.
+    """Write a checkpoint, then remove all older ones except the one before it.
 
     Parameters
     ----------
     folder : Path
-        The checkpoint folder; made if it is not there.
+        The checkpoint folder; created if it does not exist.
     cycle : int
         Cycle number, at least 0.
     arrays : mapping of str to array
-        Any shapes and dtypes but objects.
+        Arrays of any shape, and of any dtype except objects.
     scalars : mapping, optional
-        Values that JSON can hold, no NaN.
+        Values that JSON can represent, without NaN.
     """
     content = npz_bytes(arrays)
     vouched = {"cycle": cycle, "scalars": dict(scalars or {}), "arrays_sha256": hashlib.sha256(content).hexdigest()}
@@ -72,13 +72,16 @@ def save_checkpoint(
 
 
 def keep_newest(folder: Path, cycle: int) -> None:
-    """Remove what is newer than a cycle's checkpoint, what is older than the one before it, and halves of pairs."""
+    """Remove checkpoints newer than that of ``cycle`` or older than the one before it, and incomplete pairs."""
     stem = _stem(cycle)
-    _remove(folder, [other for other in _stems(folder) if other > stem] + _stems(folder, older_than=stem)[KEPT - 1 :])
+    _remove(
+        folder,
+        [other for other in _stems(folder) if other > stem] + _stems(folder, older_than=stem)[N_CHECKPOINTS - 1 :],
+    )
 
 
 def load_checkpoint(folder: Path) -> Checkpoint | None:
-    """Read the newest sound checkpoint; None if the folder has none at all.
+    """Read the newest checkpoint that is not damaged; None if the folder has none at all.
 
     Raises
     ------
@@ -90,14 +93,14 @@ def load_checkpoint(folder: Path) -> Checkpoint | None:
         try:
             return _read(folder, stem, tuple(notes))
         except (OSError, ValueError, KeyError, TypeError, zipfile.BadZipFile) as error:
-            notes.append(f"checkpoint {stem} is damaged ({error}) and was passed over")
+            notes.append(f"checkpoint {stem} is damaged ({error}) and was skipped")
     if notes:
         raise InputError(f"{folder}: no checkpoint can be read ({'; '.join(notes)}); start without --resume")
     return None
 
 
 def npz_bytes(arrays: Mapping[str, np.ndarray]) -> bytes:
-    """Pack arrays as ``numpy.load`` reads them, not compressed; equal arrays give equal bytes."""
+    """Return the bytes of an uncompressed npz file, as ``numpy.load`` reads it; equal arrays give equal bytes."""
     buffer = io.BytesIO()
     with zipfile.ZipFile(buffer, "w") as archive:
         for name in sorted(arrays):
@@ -129,7 +132,7 @@ def _stem(cycle: int) -> str:
 
 
 def _stems(folder: Path, older_than: str | None = None) -> list[str]:
-    """Names of the checkpoints, newest first."""
+    """Return the names of the checkpoints without suffix, newest first."""
     stems = sorted({path.stem for path in folder.glob("state-*.json")}, reverse=True)
     return [stem for stem in stems if older_than is None or stem < older_than]
 

@@ -1,4 +1,4 @@
-"""The table of a reproduced result: claim, measured, holds; checked against the folder's expected.csv."""
+"""Table of a reproduced result with claim, measured value and whether it holds, checked against expected.csv."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 
 def print_claims(folder: Path, rows: Sequence[tuple[str, str, bool]]) -> int:
-    """Print the rows (claim, measured, holds); returns 0 if they are exactly those of ``folder/expected.csv``, else 1."""
+    """Print the rows (claim, measured, holds); return 0 if claims and holds equal those of ``folder/expected.csv``, else 1."""
     with (folder / "expected.csv").open() as file:
         expected = {row["claim"]: row["holds"] for row in csv.DictReader(file)}
     print("claim | measured | holds")

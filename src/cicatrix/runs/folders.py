@@ -1,4 +1,4 @@
-"""Folders that a run makes, removes and holds while it works."""
+"""Creating, cleaning, removing and locking the folders of runs."""
 
 from __future__ import annotations
 
@@ -11,31 +11,31 @@ from ..files.atomic import TEMPORARY
 
 try:
     import fcntl
-except ImportError:  # not on Windows, where two runs into one folder are not noticed
+except ImportError:  # not available on Windows, where two runs into one folder are not detected
     fcntl = None
 
 
 def holds_something(path: Path) -> bool:
-    """Tell whether a folder holds anything but what a killed write left behind."""
+    """Return whether a folder contains anything other than temporary files of interrupted writes."""
     return path.is_dir() and any(not entry.name.startswith(TEMPORARY) for entry in path.iterdir())
 
 
 def sweep(path: Path) -> None:
-    """Remove what killed writes left behind."""
+    """Remove the temporary files of interrupted writes."""
     for leftover in list(path.rglob(TEMPORARY + "*")):
         remove(leftover)
 
 
 def make(path: Path) -> None:
-    """Make a folder with its parents; an InputError if that cannot be."""
+    """Create a folder with its parents; raise an InputError if that fails."""
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise InputError(f"{path} cannot be made: {error.strerror}") from None
+        raise InputError(f"{path} cannot be created: {error.strerror}") from None
 
 
 def remove(path: Path) -> None:
-    """Remove a file or a whole folder, if it is there."""
+    """Remove a file or a whole folder, if it exists."""
     if path.is_dir():
         shutil.rmtree(path)
     else:
@@ -43,7 +43,7 @@ def remove(path: Path) -> None:
 
 
 def lock(path: Path) -> int | None:
-    """Hold the folder for this process; the system lets go of it even when the process is killed."""
+    """Lock a folder for this process; the operating system unlocks it even if the process is killed."""
     if fcntl is None:
         return None
     handle = os.open(path, os.O_RDONLY)
@@ -51,11 +51,11 @@ def lock(path: Path) -> int | None:
         fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
         os.close(handle)
-        raise InputError(f"{path} is in use by a run that is still going on") from None
+        raise InputError(f"{path} is in use by a run that has not ended") from None
     return handle
 
 
 def unlock(handle: int | None) -> None:
-    """Let go of a folder."""
+    """Unlock a folder."""
     if handle is not None:
         os.close(handle)

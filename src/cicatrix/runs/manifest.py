@@ -1,4 +1,4 @@
-"""manifest.json: which case, which program, which input bytes, how it ended, how long each stage took."""
+"""Description of a run in manifest.json: case, program, hashes of inputs, status, and duration of each stage."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ LIBRARIES = (
 def new_manifest(
     case: Mapping[str, Any], seed: int, inputs: Mapping[str, Path], sources: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Describe a run before it starts; inputs are named without their folders and hashed."""
+    """Make the manifest of a run before it starts; inputs have their name without folder, and their hash."""
     return {
         "program": {"name": "cicatrix", "version": __version__},
         "status": {"state": "running", "sentence": "The run has started and not ended."},
@@ -52,12 +52,12 @@ def new_manifest(
 
 
 def read_manifest(folder: Path) -> dict[str, Any] | None:
-    """Read the manifest of a folder; None if the folder holds no run.
+    """Read the manifest of a folder; None if the folder has none.
 
     Raises
     ------
     InputError
-        If there is one that cannot be understood.
+        If the file is not a valid manifest.
     """
     path = folder / MANIFEST
     if not path.is_file():
@@ -79,7 +79,7 @@ def _describes_a_run(manifest: Any) -> bool:
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """Name what keeps one run from being the continuation of the other: keys of the case, input bytes, version."""
+    """List the differences that prevent one run from resuming the other: keys of the case, changed inputs, and the version."""
     before, after = dict(flat(old["case"])), dict(flat(new["case"]))
     missing = object()
     found = [key for key in {**before, **after} if before.get(key, missing) != after.get(key, missing)]
@@ -93,14 +93,14 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 
 
 def continued(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """Return the manifest of a run that goes on: the old one, running again, with a note if the libraries changed."""
+    """Return the manifest of a resumed run: the earlier one with status running, and a note if library versions changed."""
     changed = [name for name, version in new["libraries"].items() if old["libraries"].get(name) != version]
     notes = [f"Resumed with other versions of {', '.join(changed)}; bytes may differ."] if changed else []
     return old | {"status": new["status"], "libraries": new["libraries"], "notes": [*old["notes"], *notes]}
 
 
 def add_seconds(before: Mapping[str, Any], now: Mapping[str, Seconds]) -> dict[str, dict[str, float]]:
-    """Seconds per stage over all the sittings of a run: earlier ones and this one."""
+    """Add the seconds per stage of this session to those of earlier sessions of the run."""
     total = {name: dict(spent) for name, spent in before.items()}
     for name, spent in now.items():
         earlier = total.get(name, {"wall": 0.0, "cpu": 0.0})
@@ -112,7 +112,7 @@ def add_seconds(before: Mapping[str, Any], now: Mapping[str, Seconds]) -> dict[s
 
 
 def flat(table: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys of nested tables with dots between, and their values."""
+    """Yield the dotted keys of nested tables, and their values."""
     for key, value in table.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{prefix}{key}.")

@@ -1,4 +1,4 @@
-"""What a long computation says about itself: named stages, how far, and how many seconds each took."""
+"""Progress of a long computation: named stages, the fraction done, and the seconds that each took."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from dataclasses import dataclass
 
 @dataclass
 class Seconds:
-    """Time spent in a stage [s]: on the wall clock, and by all threads of this process."""
+    """Time spent in a stage [s]: wall-clock time, and processor time of all threads of this process."""
 
     wall: float = 0.0
     cpu: float = 0.0
 
 
 class Progress:
-    """Times the stages and says nothing; a display fills in ``begin``, ``update`` and ``end``.
+    """Timer of stages without output; a display overrides ``begin``, ``update`` and ``end``.
 
     Attributes
     ----------
     seconds : dict of str to Seconds
-        Time per stage, in the order of first use; a stage entered again adds up.
+        Time per stage, in the order of first use; times of a stage that is entered again add up.
     """
 
     def __init__(self) -> None:
@@ -30,7 +30,7 @@ class Progress:
 
     @contextmanager
     def stage(self, name: str) -> Iterator[None]:
-        """Time a block under a name; also counted when the block raises. Nested stages each count their whole time."""
+        """Measure the time of a block, also if it raises; a nested stage also counts for the stage around it."""
         self.begin(name)
         spent = self.seconds.setdefault(name, Seconds())
         wall, cpu = time.perf_counter(), time.process_time()
@@ -42,13 +42,13 @@ class Progress:
             self.end(name)
 
     def begin(self, name: str) -> None:
-        """Hear that a stage starts."""
+        """Handle the start of a stage; does nothing here."""
 
     def update(self, fraction: float | None, text: str = "") -> None:
-        """Hear how much of the innermost stage is done, 0 to 1 (None: as much as before), and a word on it."""
+        """Handle the fraction done of the innermost stage, 0 to 1 (None: unchanged), and a text; does nothing here."""
 
     def end(self, name: str) -> None:
-        """Hear that a stage is over."""
+        """Handle the end of a stage; does nothing here."""
 
     def close(self) -> None:
-        """Put the terminal back as it was."""
+        """Restore the terminal; does nothing here."""

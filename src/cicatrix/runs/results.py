@@ -1,6 +1,6 @@
-"""The folder of a run: written so that nothing half-made looks finished, read back as arrays with names.
+"""Write the folder of a run, so that an incomplete run never looks finished, and read it back as named arrays.
 
-A run is *finished* when its manifest says so, and the manifest says so last. Any other state (``running`` after a
+A run is *finished* when its manifest says so, which is written last. Any other state (``running`` after a
 power cut, ``failed``, ``interrupted``) is unfinished: it can be resumed from its last checkpoint or started over.
 """
 
@@ -9,29 +9,35 @@ from __future__ import annotations
 import json
 import math
 import shutil
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 
 from ..core.errors import ConvergenceError, InputError
+from ..core.optional import optional
 from ..files.atomic import replacing, write_bytes, write_json
 from ..files.history import History, read_history, table_text
 from ..files.images import write_volume
-from ..files.pictures import picture
 from ..files.stl import write_stl
-from ..files.vtu import Frame, read_series, write_series, write_vtu
+from ..files.vtu import TimeStepFile, read_series, write_series, write_vtu
 from ..geometry.transfer import QUARTERS
 from ..geometry.volume import Volume
 from . import checkpoints
 from .checkpoints import Checkpoint
+from .fields import FieldSeries
 from .folders import holds_something, lock, make, remove, sweep, unlock
+from .kind import Fields
 from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
-from .progress import Progress
+from .progress import Progress, Seconds
+from .quantity import Quantity
+from .scratch import ScratchFolder
+from .summary import html_of, text_of
 
+T = TypeVar("T")
 SERIES_FOLDERS = ("fields", "shapes")
 PRODUCTS = (
     "checkpoint",
@@ -47,40 +53,85 @@ PRODUCTS = (
 )
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A number asked for: a value (or a list or table of values), its unit, and a note where one is needed."""
-
-    value: Any
-    unit: str
-    note: str = ""
-
-
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Results:
-    """What a run gives.
+    """Results of a run.
 
     Parameters
     ----------
     history : dict of str to (n_rows,) array
         Columns of history.csv; the unit is in the name.
     outcome : dict of str to Quantity
-        The numbers asked for.
+        Outcomes by name.
     manifest : dict
         The case as run, versions, seed, hashes, seconds per stage.
     folder : Path or None
-        Where the files are, if they were kept.
+        Where the files are. Those of a run without a folder of its own are removed with the last object that refers to them:
+        these results, their fields, or one of the steps.
     """
 
     history: dict[str, np.ndarray]
     outcome: dict[str, Quantity]
     manifest: dict[str, Any]
     folder: Path | None = None
+    _scratch: ScratchFolder | None = field(default=None, compare=False)
 
     @property
     def status(self) -> tuple[str, str]:
         """State (running, finished, failed, interrupted) and the sentence that explains it."""
         return self.manifest["status"]["state"], self.manifest["status"]["sentence"]
+
+    @property
+    def kind(self) -> str:
+        """Kind of the case."""
+        return self.manifest["case"].get("kind", "")
+
+    @property
+    def is_temporary(self) -> bool:
+        """Whether the folder is removed with this object."""
+        return self._scratch is not None
+
+    @property
+    def fields(self) -> FieldSeries:
+        """Meshes with data over time, from ``fields/``: a sequence that reads a file only when its arrays are used."""
+        return self._series("fields")
+
+    @property
+    def shapes(self) -> FieldSeries:
+        """Loaded shapes at the visits of a lumpectomy, from ``shapes/``, one part per patient position; empty for other kinds."""
+        return self._series("shapes")
+
+    def _series(self, name: str) -> FieldSeries:
+        return FieldSeries(Path(), ()) if self.folder is None else FieldSeries.of(self.folder / name, self._scratch)
+
+    def to_pandas(self, table: Literal["history", "outcome"] = "history") -> Any:
+        """Return a table as a pandas DataFrame.
+
+        Parameters
+        ----------
+        table : {"history", "outcome"}
+            The rows of history.csv with their columns; or the outcome with ``value``, ``unit`` and ``note`` by name.
+
+        Raises
+        ------
+        InputError
+            If pandas is not installed, or there is no such table.
+        """
+        if table not in ("history", "outcome"):
+            raise InputError(f'to_pandas: there are the tables "history" and "outcome"; got {table!r}')
+        pandas = optional("pandas", "to_pandas")
+        if table == "history":
+            return pandas.DataFrame(self.history)
+        rows = {name: (asked.value, asked.unit, asked.note) for name, asked in self.outcome.items()}
+        return pandas.DataFrame(rows.values(), index=list(rows), columns=["value", "unit", "note"], dtype=object)
+
+    def __repr__(self) -> str:
+        """Return a summary of at most 15 lines: kind, status, size of the history, main outcomes and folder."""
+        return text_of(self)
+
+    def _repr_html_(self) -> str:
+        """Return the summary as HTML, for notebooks."""
+        return html_of(self)
 
 
 class RunFolder:
@@ -94,9 +145,9 @@ class RunFolder:
     path : Path
         The folder.
     checkpoint : Checkpoint or None
-        Where to go on; None means from the start.
+        Checkpoint from which to resume; None means from the start.
     already_finished : bool
-        The very same run was finished before: nothing is to be done, and nothing is touched.
+        Whether the same run was finished before; then nothing is computed or written.
     """
 
     def __init__(self, path: Path, manifest: dict[str, Any], progress: Progress, checkpoint: Checkpoint | None = None):
@@ -111,7 +162,7 @@ class RunFolder:
         self._made_here = False
         self._lock: int | None = None
         self._history = History(path / "history.csv")
-        self._frames: dict[str, list[Frame]] = {name: [] for name in SERIES_FOLDERS}
+        self._step_files: dict[str, list[TimeStepFile]] = {name: [] for name in SERIES_FOLDERS}
 
     @classmethod
     def open(
@@ -125,7 +176,7 @@ class RunFolder:
         resume: bool = False,
         progress: Progress | None = None,
     ) -> RunFolder:
-        """Make the folder of a new run, or go on with an old one.
+        """Create the folder of a new run, or resume an existing one.
 
         Parameters
         ----------
@@ -140,7 +191,7 @@ class RunFolder:
         sources : mapping of str to str, optional
             Where laws and defaults come from, by key.
         resume : bool
-            Go on from the last checkpoint; the case, the input bytes and the version must be the same. Where there
+            Resume from the last checkpoint; the case, the input bytes and the version must be the same. Where there
             is no run yet, start one.
         progress : Progress, optional
             Its seconds per stage go to the manifest.
@@ -149,7 +200,7 @@ class RunFolder:
         ------
         InputError
             If the folder holds something else, a finished run (without ``resume``), another case (with it), only
-            damaged checkpoints, or a run that is still going on.
+            damaged checkpoints, or a run that is still in progress.
         """
         path, manifest = Path(path), new_manifest(case, seed, inputs or {}, sources or {})
         old = _old_manifest(path)
@@ -190,37 +241,25 @@ class RunFolder:
         remove(path / "outcome.json")
         run._history.cut_after(checkpoint.cycle)
         for name in SERIES_FOLDERS:
-            frames = read_series(path / name)
-            run._frames[name] = [frame for frame in frames if frame.cycle <= checkpoint.cycle]
-            if frames:
-                write_series(path / name, run._frames[name])
+            step_files = read_series(path / name)
+            run._step_files[name] = [step_file for step_file in step_files if step_file.cycle <= checkpoint.cycle]
+            if step_files:
+                write_series(path / name, run._step_files[name])
         write_json(path / MANIFEST, manifest)
         return run
 
     def record(self, row: Mapping[str, Any]) -> None:
-        """Append a row to history.csv: its count and numbers with units in their names, the same names each time."""
+        """Append a row to history.csv: its number, then values with units in their names; all rows have the same names."""
         self._history.record(row)
 
-    def write_fields(
-        self,
-        part: str,
-        cycle: int,
-        time_days: float,
-        points: np.ndarray,
-        cells: np.ndarray,
-        point_data: Mapping[str, np.ndarray] | None = None,
-        cell_data: Mapping[str, np.ndarray] | None = None,
-        folder: str = "fields",
-    ) -> Path:
-        """Write ``FOLDER/PART-CYCLE.vtu`` and enter it in the folder's series; arguments as :func:`.fields.write_vtu`.
-
-        ``fields`` holds the states that a run went through, ``shapes`` a body in the positions and at the visits asked for.
-        """
-        frame = Frame(part, int(cycle), float(time_days))
-        path = self.path / folder / frame.file
-        write_vtu(path, points, cells, point_data, cell_data)
-        self._frames[folder] = [*(other for other in self._frames[folder] if other.file != frame.file), frame]
-        write_series(self.path / folder, self._frames[folder])
+    def write_fields(self, fields: Fields) -> Path:
+        """Write ``FOLDER/PART-NUMBER.vtu`` and enter it in the folder's series; the folder is one of :data:`SERIES_FOLDERS`."""
+        step_file = TimeStepFile(fields.part, int(fields.number), float(fields.time_days))
+        path = self.path / fields.folder / step_file.name
+        write_vtu(path, fields.points, fields.cells, fields.point_data, fields.cell_data)
+        others = [other for other in self._step_files[fields.folder] if other.name != step_file.name]
+        self._step_files[fields.folder] = [*others, step_file]
+        write_series(self.path / fields.folder, self._step_files[fields.folder])
         return path
 
     def write_surface(
@@ -244,18 +283,8 @@ class RunFolder:
         """Write ``tables/NAME.csv``: column names, then rows of texts and plain numbers; floats read back exactly."""
         write_bytes(self.path / "tables" / f"{name}.csv", table_text(head, rows).encode())
 
-    def save_labels(self, labels: Volume) -> Path:
-        """Write the label map that the run is built on; corrected by hand, it can be a case's ``image.labels``."""
-        return self._save_volume("labels", labels)
-
-    def save_picture(self, image: Volume) -> Path:
-        """Write the image as a report shows it (:func:`.pictures.picture`), voxels and geometry alone."""
-        shown, note = picture(image)
-        if note:
-            self.note(note)
-        return self._save_volume("picture", shown)
-
-    def _save_volume(self, name: str, volume: Volume) -> Path:
+    def save_volume(self, name: str, volume: Volume) -> Path:
+        """Write ``NAME.nii.gz``, with voxels and geometry only; names as in :data:`PRODUCTS`."""
         path = self.path / f"{name}.nii.gz"
         with replacing(path) as half:
             write_volume(half, volume)
@@ -264,7 +293,7 @@ class RunFolder:
     def save_checkpoint(
         self, cycle: int, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any] | None = None
     ) -> None:
-        """Keep the state at the end of a cycle; the rows and fields up to it must have been written before."""
+        """Save the state at the end of a cycle; the rows and fields up to it must already be written."""
         self._history.sync()
         checkpoints.save_checkpoint(self.path / "checkpoint", cycle, arrays, scalars)
         self._last_cycle = cycle
@@ -283,11 +312,12 @@ class RunFolder:
         return read_history(self.path / "history.csv")
 
     def note(self, sentence: str) -> None:
-        """Add a sentence to the manifest's notes."""
-        self._manifest["notes"].append(sentence)
+        """Add a sentence to the manifest's notes, unless it is there already, as after a run is resumed."""
+        if sentence not in self._manifest["notes"]:
+            self._manifest["notes"].append(sentence)
 
     def found(self, **values: Any) -> None:
-        """Keep what a case left open and the run has found, under ``found`` in the manifest."""
+        """Store values that the case did not give and the run has determined, under ``found`` in the manifest."""
         self._manifest["found"] = {**self._manifest.get("found", {}), **plain(values)}
         self._write_manifest()
 
@@ -316,7 +346,8 @@ class RunFolder:
         if state == "failed" and not hasattr(error, "exit_code"):
             sentences["failed"] = f"Unexpected {type(error).__name__}: {str(error).partition(chr(10))[0]}"
         if isinstance(error, ConvergenceError):
-            self._manifest["notes"] += error.history
+            for line in error.history:
+                self.note(line)
         self._manifest["status"] = {"state": state, "sentence": sentences[state]}
         self._write_manifest()
 
@@ -325,31 +356,53 @@ class RunFolder:
             return "Interrupted before the first checkpoint; it starts over."
         return f"Interrupted after cycle {self._last_cycle}; it can be resumed from there."
 
+    def seconds(self, stage: str) -> Seconds:
+        """Time spent in a stage over all sessions of the run [s]."""
+        spent = add_seconds(self._earlier_seconds, self._progress.seconds).get(stage, {"wall": 0.0, "cpu": 0.0})
+        return Seconds(**spent)
+
     def _write_manifest(self) -> None:
         self._manifest["seconds"] = add_seconds(self._earlier_seconds, self._progress.seconds)
         write_json(self.path / MANIFEST, self._manifest)
 
 
-def read_results(folder: str | Path) -> Results:
-    """Read the folder of a run, finished or not.
+def open_run(folder: str | Path) -> Results:
+    """Read the folder of a run, finished or not; an unfinished one has the rows and fields so far, and no outcome.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Folder of the run.
 
     Raises
     ------
     InputError
-        If it holds no run.
+        If the folder contains no run, or one of the run's files cannot be read.
     """
     folder = Path(folder)
+    if not folder.is_dir():
+        raise InputError(f"{folder} holds no run: there is no such folder")
     manifest = read_manifest(folder)
     if manifest is None:
         raise InputError(f"{folder} holds no run: it has no {MANIFEST}")
-    path = folder / "outcome.json"
-    outcome = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    asked = {name: Quantity(**entry) for name, entry in outcome.items()}
-    return Results(read_history(folder / "history.csv"), asked, manifest, folder)
+    history = _undamaged(read_history, folder / "history.csv")
+    return Results(history, _undamaged(_read_outcome, folder / "outcome.json"), manifest, folder)
+
+
+def _undamaged(read: Callable[[Path], T], path: Path) -> T:
+    try:
+        return read(path)
+    except (ValueError, TypeError, AttributeError, IndexError):
+        raise InputError(f"{path} is damaged: it cannot be read as the {path.stem} of a run") from None
+
+
+def _read_outcome(path: Path) -> dict[str, Quantity]:
+    table = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
+    return {name: Quantity(**asked) for name, asked in table.items()}
 
 
 def plain(value: Any) -> Any:
-    """Turn numbers, arrays and nested tables into what JSON can hold; NaN and infinity become None."""
+    """Convert numbers, arrays and nested tables to types that JSON can represent; NaN and infinity become None."""
     if isinstance(value, (np.ndarray, np.generic)):
         return plain(value.tolist())
     if isinstance(value, Mapping):

@@ -1,4 +1,7 @@
-"""The bonds of a case followed from row to row: their mean, or single bonds at random. Equal rows give equal bits."""
+"""Integrate the bonds of a case from one history row to the next: their mean, single random bonds, or clutches.
+
+The result at a row depends, to the bit, only on the state at the previous row, so a run can be resumed at any row.
+"""
 
 from __future__ import annotations
 
@@ -9,43 +12,46 @@ from typing import NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ...biology.adhesion import Adhesion, after, anchored, carried
-from ...biology.clutch import Clutches, Ground, MotorClutch
+from ...biology.adhesion import Adhesion, integrate_bound_fraction, relax_bound_fraction, steady_state
+from ...biology.clutch import Clutches, ClutchSubstrate, MotorClutch
 from ...biology.sampling import exact, monte_carlo
 from ...cases.adhesion_laws import is_viscoelastic
 from ...core.errors import ConvergenceError, InputError
-from .build import clutch_of, ground_under
+from .build import clutch_of, clutch_substrate
 from .case import AdhesionCase
 
-UPDATES = 2**26  # of bonds between two looks at the keyboard
-FINEST = 2**16  # parts of the time between two rows
-MOST_EVENTS, MOST_EVENTS_EACH = 1e10, 1e7  # of all bonds and of one, at exact times
-TOLERANCE = 1e-9  # of the mean bound fraction on a substrate that yields
+UPDATES = 2**26  # bond updates between two returns to Python, where an interrupt is noticed
+MAX_SUBSTEPS = 2**16  # largest number of time steps between two rows
+MAX_EVENTS, MAX_EVENTS_EACH = 1e10, 1e7  # largest number of events of all bonds and of one bond, at exact times
+TOLERANCE = 1e-9  # absolute error of the mean bound fraction on a viscoelastic substrate
 
 
 class Bonds(NamedTuple):
-    """Bonds on each stretch (s,)."""
+    """State of the bonds on each stretch (s,)."""
 
     mean: np.ndarray
-    """Bound fraction [1]."""
+    """Mean bound fraction [1]."""
     sd: np.ndarray
-    """Its standard deviation between cells [1]; 0 of the mean field."""
+    """Standard deviation of the bound fraction between cells [1]; 0 for the mean field."""
     force: np.ndarray
-    """Of one closed bond, in the mean [pN]."""
+    """Mean force of one closed bond [pN]."""
     others: dict[str, np.ndarray] = {}  # noqa: RUF012 - never changed
-    """What clutches have beside, by column, each (s,)."""
+    """Further columns of the history by name, each (s,); only clutches have any."""
 
 
 @dataclass(frozen=True)
-class MeanField:
-    """Eq. (24) of the review: by its solution, or in steps as fine as it takes where the substrate yields."""
+class MeanFieldBonds:
+    """Mean bound fraction of all bonds: in closed form, or in adaptive steps on a viscoelastic substrate.
+
+    Source: Guo, Mofrad & Buganza Tepole, Eq. (24).
+    """
 
     case: AdhesionCase
     law: Adhesion
 
     @cached_property
     def times(self) -> np.ndarray:
-        """Of the rows [s]."""
+        """Times of the rows (n_rows + 1,) [s]."""
         return np.linspace(0.0, self.case.method.duration_s, self.case.method.n_rows + 1)
 
     @cached_property
@@ -54,37 +60,37 @@ class MeanField:
 
     @cached_property
     def _k_off(self) -> np.ndarray:
-        return np.asarray(anchored(self.law, self._stretch).k_off)
+        return np.asarray(steady_state(self.law, self._stretch).k_off)
 
     def start(self) -> np.ndarray:
-        """Bound fraction on each stretch (s,) [1]."""
+        """Return the initial bound fraction on each stretch (s,) [1]."""
         return np.full(self._stretch.shape, self.case.method.start_bound_fraction)
 
-    def onward(self, bound: np.ndarray, row: int) -> np.ndarray:
-        """Bound fraction (s,) [1] at the next row."""
+    def advance(self, bound: np.ndarray, row: int) -> np.ndarray:
+        """Integrate the bound fraction (s,) [1] from the previous row to this row."""
         if not is_viscoelastic(self.case.substrate):
-            return np.asarray(after(self.start(), self.law.bond.k_on, self._k_off, self.times[row]))
+            return np.asarray(relax_bound_fraction(self.start(), self.law.bond.k_on, self._k_off, self.times[row]))
         start, end = self.times[row - 1], self.times[row]
-        coarse, n = carried(self.law, bound, self._stretch, start, end, 1), 2
-        while n <= FINEST:
-            fine = carried(self.law, bound, self._stretch, start, end, n)
-            better = (4.0 * fine - coarse) / 3.0  # both are of second order
+        coarse, n = integrate_bound_fraction(self.law, bound, self._stretch, start, end, 1), 2
+        while n <= MAX_SUBSTEPS:
+            fine = integrate_bound_fraction(self.law, bound, self._stretch, start, end, n)
+            better = (4.0 * fine - coarse) / 3.0  # Richardson extrapolation of a second-order method
             if float(jnp.max(jnp.abs(better - fine))) <= TOLERANCE:
                 return np.asarray(better)
             coarse, n = fine, 2 * n
         raise ConvergenceError(
-            f"The bound fraction changes too fast between {start:.6g} and {end:.6g} s; give more method.n_rows."
+            f"The bound fraction changes too fast between {start:.6g} and {end:.6g} s; increase method.n_rows."
         )
 
-    def told(self, bound: np.ndarray, row: int) -> Bonds:
-        """The mean; no cell differs from another one."""
-        force = anchored(self.law, self._stretch, self.times[row]).force
+    def report(self, bound: np.ndarray, row: int) -> Bonds:
+        """Return the mean bound fraction and bond force for a row of the history; the standard deviation is 0."""
+        force = steady_state(self.law, self._stretch, self.times[row]).force
         return Bonds(bound, np.zeros_like(bound), np.asarray(force))
 
 
 @dataclass(frozen=True)
-class Sampled:
-    """Single bonds: 16 cells, or as many as said, on each stretch; an array (s * cells, integrins) of 0 and 1."""
+class SampledBonds:
+    """Randomly sampled bonds of several cells on each stretch: an array (s * cells, integrins) of 0 (open) and 1 (closed)."""
 
     case: AdhesionCase
     law: Adhesion
@@ -95,7 +101,7 @@ class Sampled:
 
     @cached_property
     def times(self) -> np.ndarray:
-        """Of the rows [s]: whole steps where steps are fixed."""
+        """Times of the rows [s]; with a fixed time step, each is a whole number of steps."""
         method = self.case.method
         if method.dt_s is None:
             return np.linspace(0.0, method.duration_s, method.n_rows + 1)
@@ -103,31 +109,31 @@ class Sampled:
 
     @cached_property
     def _stretch(self) -> np.ndarray:
-        """Of every cell (g,)."""
+        """Stretch under each cell (g,) [1]."""
         return np.repeat(np.array(self.case.substrate.stretch), self.case.n_cells)
 
     @cached_property
     def _k_off(self) -> np.ndarray:
-        return np.asarray(anchored(self.law, self._stretch).k_off)
+        return np.asarray(steady_state(self.law, self._stretch).k_off)
 
     def start(self) -> np.ndarray:
-        """The first bonds of every cell are closed, as many as come nearest to the fraction asked for."""
+        """Close the first bonds of every cell, as many as come nearest to the initial bound fraction."""
         n = self.case.method.n_integrins or 0
         first = np.arange(n) < round(self.case.method.start_bound_fraction * n)
         return np.tile(first.astype(np.uint8), (len(self._stretch), 1))
 
-    def onward(self, bound: np.ndarray, row: int) -> np.ndarray:
-        """Bonds at the next row."""
+    def advance(self, bound: np.ndarray, row: int) -> np.ndarray:
+        """Advance the bonds from the previous row to this row."""
         return self._by_steps(bound, row) if self.case.method.dt_s is not None else self._exactly(bound, row)
 
-    def told(self, bound: np.ndarray, row: int) -> Bonds:
-        """Mean and standard deviation over the cells of a stretch."""
+    def report(self, bound: np.ndarray, row: int) -> Bonds:
+        """Return mean and standard deviation of the bound fraction over the cells of each stretch, and the force."""
         each = bound.mean(axis=1).reshape(-1, self.case.n_cells)
-        force = anchored(self.law, np.array(self.case.substrate.stretch), self.times[row]).force
+        force = steady_state(self.law, np.array(self.case.substrate.stretch), self.times[row]).force
         return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), np.asarray(force))
 
     def events(self) -> np.ndarray:
-        """Estimate of the events, taken or not, of one bond on each stretch (s,) at exact times [1]."""
+        """Estimate the number of candidate events of one bond on each stretch (s,) [1], if times are exact."""
         stretch, k_on = np.array(self.case.substrate.stretch), np.asarray(self.law.bond.k_on, float)
         start, end = self.times[:-1, None], self.times[1:, None]
         least, most = (
@@ -145,14 +151,14 @@ class Sampled:
         return bound
 
     def _chances(self, start: int, end: int) -> tuple[np.ndarray, np.ndarray]:
-        """P_on and P_off of some steps (steps, g), at the middle of each where the substrate yields."""
+        """Return the probabilities that a bond closes and opens in each step (steps, g), by the rates at midpoints."""
         dt = self.case.method.dt_s or 0.0
         if is_viscoelastic(self.case.substrate):
             middle = (np.arange(start, end)[:, None] + 0.5) * dt
             k_off = _rates(self.law, *np.broadcast_arrays(self._stretch, middle))
         else:
             k_off = np.broadcast_to(self._k_off, (end - start, len(self._stretch)))
-        on, off = self.law.chances(dt, k_off)
+        on, off = self.law.step_probabilities(dt, k_off)
         return np.asarray(on), np.asarray(off)
 
     def _exactly(self, bound: np.ndarray, row: int) -> np.ndarray:
@@ -160,7 +166,7 @@ class Sampled:
         k_on = np.broadcast_to(np.asarray(self.law.bond.k_on, float), self._stretch.shape)
         if not is_viscoelastic(self.case.substrate):
             return exact(bound, times, k_on, self._k_off, None, self.case.seed, row)
-        most = np.asarray(self.law.most_k_off(self._stretch, *times))
+        most = np.asarray(self.law.max_k_off(self._stretch, *times))
 
         def k_off(time: np.ndarray, cell: np.ndarray) -> np.ndarray:
             return _rates(self.law, self._stretch[cell], time)
@@ -169,8 +175,12 @@ class Sampled:
 
 
 @dataclass(frozen=True)
-class Clutched:
-    """Motors and clutches, in fixed steps: an array (s * cells, 2 n + 2) of closed or not, far ends, ground and dashpot."""
+class ClutchBonds:
+    """Motor-clutch model of several cells on each stretch, in fixed time steps; its state is an array (s * cells, 2 n + 2).
+
+    The first n columns are 1 for closed and 0 for open clutches, the next n the positions of the clutches' actin ends [um],
+    and the last two the displacements of the substrate and of its dashpot [um].
+    """
 
     case: AdhesionCase
     law: Adhesion
@@ -182,38 +192,38 @@ class Clutched:
 
     @cached_property
     def times(self) -> np.ndarray:
-        """Of the rows [s]: whole steps."""
+        """Times of the rows [s], each a whole number of steps."""
         return self._steps * self.case.method.dt_s
 
     @cached_property
-    def _ground(self) -> Ground:
-        return ground_under(self.law, np.repeat(np.array(self.case.substrate.stretch), self.case.n_cells))
+    def _substrate(self) -> ClutchSubstrate:
+        return clutch_substrate(self.law, np.repeat(np.array(self.case.substrate.stretch), self.case.n_cells))
 
     def start(self) -> np.ndarray:
-        """The first clutches of every cell closed, as many as come nearest to the fraction asked for."""
+        """Close the first clutches of every cell, as many as come nearest to the initial bound fraction."""
         n, cells = self.case.method.n_integrins or 0, self.case.n_cells * len(self.case.substrate.stretch)
         return _packed(self.clutch.start(cells, n, round(self.case.method.start_bound_fraction * n)))
 
-    def onward(self, bound: np.ndarray, row: int) -> np.ndarray:
-        """Clutches at the next row."""
+    def advance(self, bound: np.ndarray, row: int) -> np.ndarray:
+        """Advance the clutches from the previous row to this row."""
         now = _unpacked(bound)
         for step in range(self._steps[row - 1], self._steps[row]):
-            now = self.clutch.advance(self._ground, now, self.case.method.dt_s or 0.0, self.case.seed, step)
+            now = self.clutch.advance(self._substrate, now, self.case.method.dt_s or 0.0, self.case.seed, step)
         return _packed(now)
 
-    def told(self, bound: np.ndarray, row: int) -> Bonds:
-        """Mean and standard deviation over the cells of a stretch; the force is shared by the closed ones."""
+    def report(self, bound: np.ndarray, row: int) -> Bonds:
+        """Return mean and standard deviation of the bound fraction over cells, and the force per closed clutch."""
         now = _unpacked(bound)
         each = now.bound.mean(axis=1).reshape(-1, self.case.n_cells)
-        force = self.clutch.force(self._ground, now).reshape(each.shape)
+        force = self.clutch.force(self._substrate, now).reshape(each.shape)
         closed = each.sum(axis=1) * now.bound.shape[1]
-        flow = self.clutch.flow(self._ground, now).reshape(each.shape).mean(axis=1)
+        flow = self.clutch.flow(self._substrate, now).reshape(each.shape).mean(axis=1)
         others = {"cell_force_pN": force.mean(axis=1), "flow_um_per_s": flow}
         return Bonds(each.mean(axis=1), each.std(axis=1, ddof=1), force.sum(axis=1) / np.maximum(closed, 1.0), others)
 
 
 def _packed(now: Clutches) -> np.ndarray:
-    return np.hstack([now.bound, now.end, now.ground[:, None], now.flowed[:, None]])
+    return np.hstack([now.bound, now.end, now.displacement[:, None], now.dashpot[:, None]])
 
 
 def _unpacked(state: np.ndarray) -> Clutches:
@@ -222,53 +232,53 @@ def _unpacked(state: np.ndarray) -> Clutches:
 
 
 def steps_of_rows(case: AdhesionCase) -> np.ndarray:
-    """Number of the last fixed step before each row."""
+    """Return the number of fixed steps from the start to each row."""
     method = case.method
     n = round(method.duration_s / (method.dt_s or method.duration_s / method.n_rows))
     return np.round(np.linspace(0, n, min(method.n_rows, n) + 1)).astype(int)
 
 
 def _rates(law: Adhesion, stretch: np.ndarray, time: np.ndarray) -> np.ndarray:
-    """Rate of opening at points of any number (...) [1/s]: filled up to a power of two, so that few shapes are compiled."""
+    """Return the opening rate (...) [1/s] at stretches and times (...); padding to a power of two limits compilations."""
     n = stretch.size
     room = 1 << max(n - 1, 2**15 - 1).bit_length()
     padded = [np.concatenate([values.ravel(), np.ones(room - n)]) for values in (stretch, time)]
-    return np.asarray(anchored(law, *padded).k_off)[:n].reshape(stretch.shape)
+    return np.asarray(steady_state(law, *padded).k_off)[:n].reshape(stretch.shape)
 
 
 def _still(law: Adhesion, stretch: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    k_off = np.asarray(anchored(law, stretch).k_off)
+    k_off = np.asarray(steady_state(law, stretch).k_off)
     return k_off, k_off
 
 
 def _ends(law: Adhesion, stretch: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Lesser rate of opening at either end of intervals, and its upper bound in them: (n, 1) [s] -> (n, s) [1/s] each."""
-    least = jnp.minimum(anchored(law, stretch, start).k_off, anchored(law, stretch, end).k_off)
-    return np.asarray(least), np.asarray(law.most_k_off(stretch, start, end))
+    """Return the smaller opening rate at the ends of time intervals, and an upper bound within: (n, 1) [s] -> (n, s) [1/s]."""
+    least = jnp.minimum(steady_state(law, stretch, start).k_off, steady_state(law, stretch, end).k_off)
+    return np.asarray(least), np.asarray(law.max_k_off(stretch, start, end))
 
 
-Follower = MeanField | Sampled | Clutched  # leads an array from row to row: start, onward, told, times
+BondSolver = MeanFieldBonds | SampledBonds | ClutchBonds  # all have times, start, advance and report
 
 
-def follower_of(case: AdhesionCase, law: Adhesion) -> Follower:
-    """Choose what follows the bonds of a case."""
+def bond_solver(case: AdhesionCase, law: Adhesion) -> BondSolver:
+    """Choose the method that computes the bonds of a case."""
     clutch = clutch_of(case)
     if clutch is not None:
-        return Clutched(case, law, clutch)
+        return ClutchBonds(case, law, clutch)
     if case.method.type == "ode":
-        return MeanField(case, law)
-    sampled = Sampled(case, law)
+        return MeanFieldBonds(case, law)
+    sampled = SampledBonds(case, law)
     if case.method.type == "ssa":
         _refuse_too_many(sampled)
     return sampled
 
 
-def _refuse_too_many(sampled: Sampled) -> None:
-    """Refuse exact times that would take for ever."""
+def _refuse_too_many(sampled: SampledBonds) -> None:
+    """Refuse exact event times if there are so many events that the run would take too long."""
     each = sampled.events()
     total = each.sum() * sampled.case.n_cells * (sampled.case.method.n_integrins or 0)
-    if not (each.max() <= MOST_EVENTS_EACH and total <= MOST_EVENTS):
+    if not (each.max() <= MAX_EVENTS_EACH and total <= MAX_EVENTS):
         raise InputError(
-            f'method.type = "ssa" would take about {each.max():.2g} events of each bond and {total:.2g} of all, beyond '
-            f"{MOST_EVENTS_EACH:g} and {MOST_EVENTS:g}; give less duration_s or force, or more n_rows if the substrate yields"
+            f'method.type = "ssa" would take about {each.max():.2g} events of each bond and {total:.2g} of all, more than '
+            f"{MAX_EVENTS_EACH:g} and {MAX_EVENTS:g}; reduce duration_s or force, or raise n_rows on a viscoelastic substrate"
         )

@@ -1,17 +1,17 @@
-"""From a case of kind "adhesion" to its law, checked at the stretches asked for."""
+"""Build the adhesion law of a case of kind "adhesion", and check it at the stretches of the case."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from ...biology.adhesion import Adhesion, anchored
-from ...biology.clutch import Ground, MotorClutch, ground_of
+from ...biology.adhesion import Adhesion, steady_state
+from ...biology.clutch import ClutchSubstrate, MotorClutch, elastic_substrate
 from ...biology.viscoelastic_substrate import StandardLinearSolid
 from ...cases.adhesion_laws import adhesion_of, bond_of
 from ...cases.laws import law_of
 from .case import AdhesionCase
 
-MOST_CHANCE = 0.1  # of a bond to switch in a fixed step, above which it is noted
+MAX_CHANCE = 0.1  # probability that a bond switches in one fixed step, above which a note is written
 
 
 def law_and_notes(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
@@ -22,7 +22,7 @@ def law_and_notes(case: AdhesionCase) -> tuple[Adhesion, list[str]]:
 
 
 def clutch_of(case: AdhesionCase) -> MotorClutch | None:
-    """Make the motors and clutches that a case names."""
+    """Build the motors and clutches of a case; None if it has none."""
     given = case.cell.clutch
     if given is None:
         return None
@@ -32,23 +32,23 @@ def clutch_of(case: AdhesionCase) -> MotorClutch | None:
     )
 
 
-def ground_under(law: Adhesion, stretch: np.ndarray) -> Ground:
-    """What clutches pull at together at stretches (g,): the substrate's tangent stiffness, or its springs and dashpot."""
+def clutch_substrate(law: Adhesion, stretch: np.ndarray) -> ClutchSubstrate:
+    """Return the substrate under the clutches of a cell at stretches (g,): a spring (tangent stiffness) or viscoelastic."""
     substrate, each = law.substrate, np.ones_like(stretch)
     if isinstance(substrate, StandardLinearSolid):
-        return Ground(substrate.K_long * each, substrate.K_added * each, substrate.viscosity * each)
-    return ground_of(np.asarray(anchored(law, stretch).stiffness))
+        return ClutchSubstrate(substrate.K_long * each, substrate.K_added * each, substrate.viscosity * each)
+    return elastic_substrate(np.asarray(steady_state(law, stretch).stiffness))
 
 
 def _of_steps(law: Adhesion, case: AdhesionCase) -> list[str]:
-    """Say so if fixed steps are long; of clutches, before they bear anything."""
+    """Return a note if a bond is too likely to switch in one fixed time step; clutches are judged by their rates without load."""
     dt, rates = case.method.dt_s, [float(law.bond.k_on)]
     if dt is None:
         return []
     for time in (0.0, case.method.duration_s):
-        rates.append(float(np.max(anchored(law, np.array(case.substrate.stretch), time).k_off)))
+        rates.append(float(np.max(steady_state(law, np.array(case.substrate.stretch), time).k_off)))
     chance = -np.expm1(-dt * np.nanmax(rates))
     words = (
-        f"A bond switches with a chance of {chance:.2g} in one step of {dt:g} s: a shorter method.dt_s is more exact."
+        f"A bond switches with probability {chance:.2g} in one step of {dt:g} s: a shorter method.dt_s is more exact."
     )
-    return [words] if chance > MOST_CHANCE else []
+    return [words] if chance > MAX_CHANCE else []

@@ -1,4 +1,4 @@
-"""Pictures of a cell's adhesion: its bonds over time, and what becomes of it as the substrate is stretched."""
+"""Figures of a cell's adhesion: its bonds over time, and its steady state against the stretch of the substrate."""
 
 from __future__ import annotations
 
@@ -18,9 +18,10 @@ PANELS = {
 
 
 def course_figure(history: Mapping[str, np.ndarray], mean: tuple[np.ndarray, np.ndarray] | None) -> Figure:
-    """Bound fraction and traction over time, of clutches actin's velocity too; a colour per stretch, bands: one sd between cells.
+    """Draw bound fraction and traction over time (for clutches also the velocity of actin), with one colour per stretch.
 
-    ``mean`` holds times (r,) and bound fractions (r, s) of the mean field beside samples.
+    Bands show one standard deviation between cells. ``mean`` has times (r,) and bound fractions (r, s) of the mean field, which
+    are drawn with the samples.
     """
     rows = {name: values.reshape(-1, np.sum(history["step"] == 0)) for name, values in history.items()}
     panels = {name: words for name, words in PANELS.items() if name in rows}
@@ -48,9 +49,9 @@ def course_figure(history: Mapping[str, np.ndarray], mean: tuple[np.ndarray, np.
 
 
 def stretch_figure(numbers: Mapping[str, Any]) -> Figure:
-    """Stiffness, force, bound fraction and traction in the steady state against the substrate's stretch."""
+    """Draw stiffness, force, bound fraction and traction in the steady state against the substrate's stretch."""
     panels = {
-        "stiffness_pN_um": "stiffness felt [pN/um]",
+        "stiffness_pN_um": "effective stiffness [pN/um]",
         "force_pN": "force of a bond [pN]",
         "steady_bound_fraction": "bound fraction [1]",
         "steady_traction_kPa": "traction [kPa]",

@@ -1,101 +1,103 @@
-"""A cell on a substrate: its bonds followed row by row."""
+"""A cell on a substrate: its bonds integrated from row to row."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...biology.adhesion import Adhesion
-from ...core.errors import ConvergenceError
-from ...runs.progress import Progress
-from ...runs.results import Quantity, RunFolder
-from .bonds import Bonds, Follower, Sampled, follower_of
+from ...runs.kind import Context, Drawing, End, Packed, Row, Simulation
+from ...runs.quantity import Quantity
+from .bonds import SampledBonds, bond_solver
 from .build import law_and_notes
 from .case import AdhesionCase
 from .figures import course_figure, stretch_figure
 from .summary import mean_course, summary
 
-CHECKPOINT_SECONDS = 10.0  # between two checkpoints; one more when the run is interrupted
+WORDS = {
+    "ode": "The mean bound fraction",
+    "monte-carlo": "The state of single bonds",
+    "ssa": "The state of single bonds, at exact times,",
+}
 
 
-@dataclass
-class AdhesionRun:
-    """One run; a checkpoint holds the bonds and the row they belong to."""
+class BondState(NamedTuple):
+    """State of the bonds at a row of the history: the mean bound fraction, or every single bond."""
 
-    case: AdhesionCase
-    folder: RunFolder
-    progress: Progress
-    saved: float = field(default_factory=time.perf_counter)
+    row: int
+    bound: np.ndarray
 
-    def go(self) -> str:
-        """Follow the bonds to the end; returns the sentence that ends the run."""
-        with self.progress.stage("law"):
-            law, notes = law_and_notes(self.case)
-            for note in notes:
-                self.folder.note(note)
-        follower = follower_of(self.case, law)
-        with self.progress.stage("bind"):
-            self._follow(law, follower)
-        with self.progress.stage("outcome"):
-            return self._tell(law, follower)
 
-    def _follow(self, law: Adhesion, follower: Follower) -> None:
-        """Write the rows of every time, one per stretch."""
-        kept, last = self.folder.checkpoint, len(follower.times) - 1
-        if kept is None:
-            row, bound = 0, follower.start()
-            self._record(law, follower, row, bound)
-        else:
-            row, bound = kept.cycle, kept.arrays["bound"]
-        try:
-            while row < last:
-                further = follower.onward(bound, row + 1)
-                self._record(law, follower, row + 1, further)
-                row, bound = row + 1, further
-                if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
-                    self._save(row, bound)
-                self.progress.update(row / last, f"{follower.times[row]:.4g} s of {follower.times[-1]:.4g} s simulated")
-        except (KeyboardInterrupt, ConvergenceError):
-            self._save(row, bound)
-            raise
+class AdhesionRun(Simulation[BondState]):
+    """Integrates the bonds of a case of kind "adhesion"."""
 
-    def _save(self, row: int, bound: np.ndarray) -> None:
-        self.saved = time.perf_counter()
-        self.folder.save_checkpoint(row, {"bound": bound})
+    building, marching = "law", "bind"
 
-    def _record(self, law: Adhesion, follower: Follower, row: int, bound: np.ndarray) -> None:
-        stretch = np.array(self.case.substrate.stretch)
-        told = follower.told(bound, row)
-        for cells in _rows(row, follower.times[row], stretch, told, np.asarray(law.traction(told.force, told.mean))):
-            self.folder.record(cells)
+    def __init__(self, case: AdhesionCase, context: Context | None = None) -> None:
+        super().__init__(case, context)
+        self.law, self.notes = law_and_notes(case)
+        self.solver = bond_solver(case, self.law)
 
-    def _tell(self, law: Adhesion, follower: Follower) -> str:
-        history = self.folder.history()
-        numbers = summary(self.case, law, history)
-        self.folder.write_outcome({name: Quantity(*told) for name, told in numbers.items()})
-        mean = mean_course(self.case, law) if isinstance(follower, Sampled) else None
-        self.folder.save_figure("course", course_figure(history, mean))
+    def start(self) -> BondState:
+        """Return the bonds at time 0."""
+        return BondState(0, self.solver.start())
+
+    def march(self, state: BondState) -> Iterator[BondState]:
+        """Yield the bonds at the time of every later row of the history."""
+        for row in range(state.row + 1, len(self.solver.times)):
+            state = BondState(row, self.solver.advance(state.bound, row))
+            yield state
+
+    def rows(self, state: BondState) -> Iterator[Row]:
+        """Return the rows of the history for this time, one per stretch."""
+        bonds = self.solver.report(state.bound, state.row)
+        traction = np.asarray(self.law.traction(bonds.force, bonds.mean))
+        for i, stretch in enumerate(self.case.substrate.stretch):
+            yield {
+                "step": state.row,
+                "time_s": float(self.solver.times[state.row]),
+                "stretch": float(stretch),
+                "bound_fraction": float(bonds.mean[i]),
+                "bound_fraction_sd": float(bonds.sd[i]),
+                "force_pN": float(bonds.force[i]),
+                "traction_kPa": float(traction[i]),
+                **{name: float(values[i]) for name, values in bonds.others.items()},
+            }
+
+    def pack(self, state: BondState) -> Packed:
+        """Return the bonds as an array."""
+        return {"bound": state.bound}, {"row": state.row}
+
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> BondState:
+        """Return the bonds from the arrays and numbers of ``pack``."""
+        return BondState(scalars["row"], arrays["bound"])
+
+    def done(self, state: BondState) -> tuple[float, str]:
+        """Return the fraction of the rows that is computed, and the simulated time."""
+        times = self.solver.times
+        return state.row / (len(times) - 1), f"{times[state.row]:.4g} s of {times[-1]:.4g} s simulated"
+
+    def outcome(self, end: End[BondState]) -> dict[str, Quantity]:
+        """Return the steady states, and the outcomes computed from the history."""
+        numbers = summary(self.case, self.law, end.history)
+        return {name: Quantity(*entry) for name, entry in numbers.items()}
+
+    def figures(self, end: End[BondState]) -> Mapping[str, Drawing]:
+        """Return the functions that draw the bonds over time and, for several stretches, the steady states over the stretch."""
+        drawings: dict[str, Drawing] = {"course": partial(self._course, end)}
         if len(self.case.substrate.stretch) > 1:
-            self.folder.save_figure("stretch", stretch_figure({name: told[0] for name, told in numbers.items()}))
-        words = {"ode": "The mean of the bonds", "monte-carlo": "Single bonds", "ssa": "Single bonds, at exact times,"}
-        return f"{words[self.case.method.type]} went through {follower.times[-1]:.6g} s."
+            drawings["stretch"] = partial(self._over_stretch, end)
+        return drawings
 
+    def _course(self, end: End[BondState]) -> Any:
+        mean = mean_course(self.case, self.law) if isinstance(self.solver, SampledBonds) else None
+        return course_figure(end.history, mean)
 
-def _rows(row: int, at: float, stretch: np.ndarray, told: Bonds, traction: np.ndarray) -> list[Mapping[str, Any]]:
-    return [
-        {
-            "step": row,
-            "time_s": float(at),
-            "stretch": float(stretch[i]),
-            "bound_fraction": float(told.mean[i]),
-            "bound_fraction_sd": float(told.sd[i]),
-            "force_pN": float(told.force[i]),
-            "traction_kPa": float(traction[i]),
-            **{name: float(values[i]) for name, values in told.others.items()},
-        }
-        for i in range(len(stretch))
-    ]
+    def _over_stretch(self, end: End[BondState]) -> Any:
+        return stretch_figure({name: entry[0] for name, entry in summary(self.case, self.law, end.history).items()})
+
+    def sentence(self, end: End[BondState]) -> str:
+        """Return a sentence on how long the bonds were integrated."""
+        return f"{WORDS[self.case.method.type]} was computed over {self.solver.times[-1]:.6g} s."

@@ -1,1 +1,1 @@
-"""Healing alone: the cellular automaton on a lattice."""
+"""Wound healing without mechanics: the cellular automaton on a lattice."""

@@ -1,4 +1,4 @@
-"""From a case of kind "automaton" to the wound on its lattice and the cue of its cells."""
+"""Build the wound on its lattice and the cue of its cells from a case of kind "automaton"."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from ...core.errors import InputError
 from ...core.units import mm_from_um
 from ...geometry.hexgrid import Lattice
 from ...healing.automaton import Automaton
-from ...healing.model import Cue
+from ...healing.cue import Cue
 from ...healing.rules import AutomatonRules
 from .case import AutomatonCase
 
 
 def automaton_of(case: AutomatonCase) -> Automaton:
-    """The wound of a case on its lattice.
+    """Build the automaton with the wound of a case on its lattice.
 
     Raises
     ------
     InputError
-        If a mask does not fit the lattice, the wound is larger than it, or no cell or no wound is left.
+        If a mask does not fit the lattice, the wound is larger than the lattice, or there is no cell or no open site.
     """
     pitch = mm_from_um(case.lattice.pitch_um)
     lattice = Lattice(case.lattice.size, pitch, (0.0,) * len(case.lattice.size))
@@ -30,7 +30,7 @@ def automaton_of(case: AutomatonCase) -> Automaton:
         fillable = _read_mask(case.lattice.fillable, "lattice.fillable", lattice)
     open0 = _open_sites(case, lattice) & fillable
     if not open0.any():
-        raise InputError("the wound holds no site that can be filled: make it larger, or look at lattice.fillable")
+        raise InputError("the wound has no site that can be filled: make it larger, or check lattice.fillable")
     r = case.rules
     rules = AutomatonRules(
         p_edge=r.p_edge,
@@ -46,12 +46,12 @@ def automaton_of(case: AutomatonCase) -> Automaton:
 
 
 def cue_of(case: AutomatonCase) -> Cue:
-    """The cue of a case.
+    """Build the cue of a case: the strain energy density that the cells sense.
 
     Raises
     ------
     InputError
-        If its file holds no numbers.
+        If the file of the cue does not contain numbers.
     """
     if isinstance(case.cue.W, Path):
         W = _read_array(case.cue.W, "cue.W")
@@ -62,7 +62,7 @@ def cue_of(case: AutomatonCase) -> Cue:
 
 
 def inradius_um(lattice: Lattice) -> float:
-    """Largest radius of a disc or ball about the middle that the block of sites holds [um]."""
+    """Return the largest radius of a disc or ball at the centre that fits into the block of sites [um]."""
     heights = 1.0 / np.linalg.norm(np.linalg.inv(lattice.basis_mm), axis=0)
     return float(1e3 * np.min((np.array(lattice.shape) - 1) * heights) / 2)
 

@@ -1,4 +1,4 @@
-"""Pictures of the automaton alone: fronts over time, and how fast they close."""
+"""Figures of the automaton alone: fronts over time, and their speed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from ...geometry.hexgrid import Lattice
 
-MOST_PIXELS = 1200  # of a lattice drawn along one axis
+MAX_PIXELS = 1200  # largest number of sites that are drawn along one axis
 
 
 def closure_figure(
@@ -23,7 +23,7 @@ def closure_figure(
     steps: Sequence[int],
     history: Mapping[str, np.ndarray],
 ) -> Figure:
-    """Fronts at some steps (in 3-D: in the middle plane), the radius over time, and the front's speed over the radius.
+    """Draw fronts at some steps (in 3-D: in the middle plane), the radius over time, and the front's speed over the radius.
 
     fronts: occupancies (bool arrays of the lattice's shape) after ``steps``.
     """
@@ -44,7 +44,7 @@ def _fronts(
     ax: Axes, lattice: Lattice, fillable: np.ndarray, fronts: Sequence[np.ndarray], steps: Sequence[int]
 ) -> None:
     plane = np.s_[lattice.shape[0] // 2] if lattice.ndim == 3 else np.s_[:]
-    stride = max(1, -(-max(lattice.shape[-2:]) // MOST_PIXELS))
+    stride = max(1, -(-max(lattice.shape[-2:]) // MAX_PIXELS))
     thin = (slice(None, None, stride),) * 2
     index = np.stack(np.meshgrid(*[np.arange(0, n, stride) for n in lattice.shape[-2:]], indexing="ij"), axis=-1)
     at = index @ lattice.basis_mm[-2:, :2]
@@ -64,7 +64,7 @@ def _fronts(
 
 
 def _zoom(ax: Axes, at: np.ndarray, is_open: np.ndarray) -> None:
-    """Look at the fresh wound and a tenth of its size around it."""
+    """Limit the axes to the initially open sites, with a margin of a tenth of their extent."""
     points = at[is_open]
     if len(points):
         low, high = points.min(axis=0), points.max(axis=0)
@@ -74,13 +74,13 @@ def _zoom(ax: Axes, at: np.ndarray, is_open: np.ndarray) -> None:
 
 
 def _radius(lattice: Lattice, n_open: np.ndarray) -> np.ndarray:
-    """Radius of the disc or ball of as many sites [mm]."""
+    """Return the radius of the disc or ball with the same area or volume as the open sites [mm]."""
     measure = n_open * lattice.site_measure
     return np.sqrt(measure / np.pi) if lattice.ndim == 2 else np.cbrt(3.0 * measure / (4.0 * np.pi))
 
 
 def _speed(ax: Axes, step: np.ndarray, radius: np.ndarray) -> None:
-    """Speed of the front over pieces of 5 % of the first radius, down to a tenth of it: the last sites have no radius."""
+    """Plot the front's speed, averaged over 5 % of the initial radius, until the radius is a tenth of the initial one."""
     marks = radius[0] * np.arange(1.0, 0.09, -0.05)
     at = np.interp(-marks, -radius, step) if len(step) > 1 else np.zeros(0)
     reached = at < step[-1]

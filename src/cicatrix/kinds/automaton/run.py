@@ -1,161 +1,181 @@
-"""Healing alone: the automaton from a fresh wound to closure, step by step, by one process or by several ranks.
-
-The first rank has the run's folder and leads; the others do its steps with it.
-"""
+"""Wound healing without mechanics: the automaton from a fresh wound to closure, on one process or on several MPI ranks."""
 
 from __future__ import annotations
 
 import hashlib
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...core import native
 from ...core.errors import InputError, InvariantError
-from ...core.ranks import Ranks, world
+from ...core.posix_signals import deferred_signals
+from ...core.ranks import Ranks
 from ...healing.automaton import Automaton, AutomatonState, NativeCore, pack_rows, unpack_rows
-from ...healing.twin import TwinCore
-from ...runs.progress import Progress
-from ...runs.results import Quantity, RunFolder
+from ...healing.reference import ReferenceCore
+from ...runs.kind import Context, Drawing, End, Packed, Row, Simulation
+from ...runs.quantity import Quantity
 from .build import automaton_of, cue_of
 from .case import AutomatonCase
 from .figures import closure_figure
 
-CHECKPOINT_SECONDS = 10.0  # between two checkpoints; one more when the run is interrupted
-FRONTS_EVERY = 0.1  # of the wound closed, between two fronts of the picture
+FRONTS_EVERY = 0.1  # fraction of the wound that closes between two fronts of the figure
 
 
-@dataclass
-class AutomatonRun:
-    """One run; a checkpoint holds occupancy and step, what the picture needs, and the seconds spent."""
+class ClosureState(NamedTuple):
+    """Cells after a step. They stay in the core that computes the steps until ``occupancy`` copies them."""
 
-    case: AutomatonCase
-    folder: RunFolder
-    progress: Progress
-    ranks: Ranks = field(default_factory=world)
-    fronts: list[np.ndarray] = field(default_factory=list)  # occupancies as rows of bits
-    steps_of_fronts: list[int] = field(default_factory=list)
-    seconds: float = 0.0
-    last_row: int = 0
-    n_shared: int = 0  # steps that several ranks shared
-    saved: float = field(default_factory=time.perf_counter)
+    step: int
+    n_cells: int
+    n_edge: int
+    n_layer: int
+    occupancy: Callable[[], np.ndarray]
+    """Returns the sites that hold a cell, bool array of the lattice's shape; InvariantError once the core is a step ahead."""
+    fronts: tuple[np.ndarray, ...]
+    """Occupancies as rows of bits, one for every tenth of the wound that closed."""
+    steps_of_fronts: tuple[int, ...]
+    n_shared: int = 0
+    """Number of steps whose work several ranks shared."""
+    is_current: Callable[[], bool] = lambda: True
+    """Returns whether the core has not gone beyond this step."""
 
-    def go(self) -> str:
-        """Run to closure or to the last step; returns the sentence that ends the run."""
-        with self.progress.stage("lattice"):
-            automaton, cue = self.ranks.agree(lambda: _model(self.case))
-            state = self.ranks.share(self.ranks.agree(lambda: self._start(automaton)))
-            core = self.ranks.agree(lambda: _core(self.case, automaton, state, self.ranks))
-            self.folder.note(_how(self.ranks))
-        with self.progress.stage("heal"):
-            n_open = self._heal(automaton, core, cue, state.n_cells)
-        with self.progress.stage("outcome"):
-            return self._finish(automaton, core, n_open)
 
-    def _heal(
-        self, automaton: Automaton, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float], n_cells: int
-    ) -> int:
-        """Do the steps, the other ranks with them, from so many cells on; returns the sites that are open at the end."""
-        n_fillable, n_open0 = int(np.count_nonzero(automaton.fillable)), int(np.count_nonzero(automaton.open0))
-        n_open = n_fillable - n_cells
-        try:
-            while n_open and core.step < self.case.run.max_steps and not self.ranks.is_interrupted:
-                self.ranks.share(True)
-                n_open = self._step(core, cue, n_fillable, n_open0)
-            if self.ranks.is_interrupted:
-                raise KeyboardInterrupt
-        except KeyboardInterrupt:
-            if core.step > self.last_row:  # it came between a step and its row
-                self._record(core, n_fillable, n_open0)
-            self._save(core)
-            raise
-        finally:
-            self.ranks.share(False)
+class AutomatonRun(Simulation[ClosureState]):
+    """Integrates the cellular automaton under a constant cue."""
+
+    building, marching, on_ranks = "lattice", "heal", True
+
+    def __init__(self, case: AutomatonCase, context: Context | None = None) -> None:
+        super().__init__(case, context)
+        self.ranks = self.context.ranks
+        self.automaton, self.cue = self.ranks.agree(lambda: _model(case))
+        self.n_fillable = int(np.count_nonzero(self.automaton.fillable))
+        self.n_open0 = int(np.count_nonzero(self.automaton.open0))
+        self.notes.append(_how(self.ranks))
+
+    def start(self) -> ClosureState:
+        """Return the fresh wound."""
+        first = self.automaton.initial_state()
+        return ClosureState(0, first.n_cells, 0, 0, lambda: first.occupancy, (pack_rows(first.occupancy),), (0,))
+
+    def march(self, state: ClosureState) -> Iterator[ClosureState]:
+        """Yield the cells after every step, until the wound is closed or the last step is done."""
+        core = self.ranks.agree(lambda: _core(self.case, self.automaton, self._cells(state), self.ranks))
+        while self._n_open(state) and core.step < self.case.run.max_steps:
+            try:
+                with deferred_signals():  # so that the step and its state are whole
+                    core.advance(1, *self.cue)
+                    state = self._after(core, state)
+            except KeyboardInterrupt:
+                if core.step > state.step:
+                    state = self._after(core, state)
+                yield state
+                raise
+            yield state
         if self.ranks.size > 1:
-            self.folder.note(f"Several ranks shared {self.n_shared} steps; the others were too short to be worth it.")
-        return n_open
+            self.notes.append(
+                f"Several ranks shared {state.n_shared} steps; the others were too short to be worth sharing."
+            )
 
-    def _step(self, core: NativeCore | TwinCore, cue: tuple[np.ndarray, float], n_fillable: int, n_open0: int) -> int:
-        """Do a step and write its row; returns the sites that are open after it."""
-        started = time.perf_counter()
-        core.advance(1, *cue)
-        self.seconds += time.perf_counter() - started
-        self.n_shared += core.ranks_of_last_step > 1
-        n_open, closed = self._record(core, n_fillable, n_open0)
-        if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
-            self._save(core)
-        self.progress.update(closed, f"step {core.step}")
-        return n_open
+    def _cells(self, state: ClosureState) -> AutomatonState:
+        return AutomatonState(state.occupancy(), state.step)
 
-    def _record(self, core: NativeCore | TwinCore, n_fillable: int, n_open0: int) -> tuple[int, float]:
-        """Write the row of the last step, and keep its front for the picture now and then."""
+    def _after(self, core: NativeCore | ReferenceCore, before: ClosureState) -> ClosureState:
         n_edge, n_layer, _, _, n_cells = core.last
-        n_open = n_fillable - n_cells
-        closed = 1.0 - n_open / n_open0
-        self.folder.record(_row(core.step, n_cells, n_open, closed, n_edge, n_layer))
-        self.last_row = core.step
-        if n_open and closed >= len(self.fronts) * FRONTS_EVERY:
-            self.fronts.append(pack_rows(core.occupancy()))
-            self.steps_of_fronts.append(core.step)
-        return n_open, closed
+        fronts, steps = before.fronts, before.steps_of_fronts
+        n_open = self.n_fillable - n_cells
+        if n_open and self._closed(n_open) >= len(fronts) * FRONTS_EVERY:
+            fronts, steps = (*fronts, pack_rows(core.occupancy())), (*steps, core.step)
+        step, n_shared = core.step, before.n_shared + (core.ranks_of_last_step > 1)
 
-    def _save(self, core: NativeCore | TwinCore) -> None:
-        """Keep a checkpoint of the last step; its row has been written."""
-        self.saved = time.perf_counter()
-        arrays = {"occupancy": pack_rows(core.occupancy()), "fronts": np.array(self.fronts)}
-        scalars = {"step": core.step, "steps_of_fronts": self.steps_of_fronts, "seconds": self.seconds}
-        self.folder.save_checkpoint(core.step, arrays, scalars)
+        def occupancy() -> np.ndarray:
+            if core.step != step:
+                raise InvariantError(f"the cells of step {step} are gone: step {core.step} was computed since")
+            return core.occupancy()
 
-    def _start(self, automaton: Automaton) -> AutomatonState:
-        kept = self.folder.checkpoint
-        if kept is None:
-            state = automaton.initial_state()
-            self.fronts, self.steps_of_fronts = [pack_rows(state.occupancy)], [0]
-            n_open = int(np.count_nonzero(automaton.open0))
-            self.folder.record(_row(0, state.n_cells, n_open, 0.0, 0, 0))
-            return state
-        self.fronts, self.steps_of_fronts = list(kept.arrays["fronts"]), kept.scalars["steps_of_fronts"]
-        self.seconds, self.last_row = kept.scalars["seconds"], kept.scalars["step"]
-        return AutomatonState(unpack_rows(kept.arrays["occupancy"], automaton.lattice.shape), kept.scalars["step"])
+        is_current = partial(_is_at, core, step)
+        return ClosureState(step, n_cells, n_edge, n_layer, occupancy, fronts, steps, n_shared, is_current)
 
-    def _finish(self, automaton: Automaton, core: NativeCore | TwinCore, n_open: int) -> str:
-        history = self.folder.history()
-        last, occupancy = int(history["step"][-1]), core.occupancy()
-        closed = last if n_open == 0 else None
-        self.folder.write_outcome(
-            {
-                "steps_to_closure": Quantity(closed, "1", "" if closed is not None else f"{n_open} sites still open"),
-                "occupancy_sha256": Quantity(
-                    hashlib.sha256(np.packbits(occupancy).tobytes()).hexdigest(), "", "bits of the lattice in C order"
-                ),
-                "seconds_per_step": Quantity(self.seconds / max(last, 1), "s"),
-                "n_sites": Quantity(automaton.lattice.n_sites, "1"),
-            }
+    def _n_open(self, state: ClosureState) -> int:
+        return self.n_fillable - state.n_cells
+
+    def _closed(self, n_open: int) -> float:
+        return 1.0 - n_open / self.n_open0
+
+    def rows(self, state: ClosureState) -> Iterator[Row]:
+        """Return the numbers of cells, open sites and divisions after a step, as one row of the history."""
+        n_open = self._n_open(state)
+        yield {
+            "step": state.step,
+            "n_cells": state.n_cells,
+            "n_open": n_open,
+            "closed_fraction": self._closed(n_open) if state.step else 0.0,
+            "n_edge_divisions": state.n_edge,
+            "n_layer_divisions": state.n_layer,
+        }
+
+    def is_mark(self, state: ClosureState) -> bool:
+        """Return whether the cells of this step are still there."""
+        return state.is_current()
+
+    def pack(self, state: ClosureState) -> Packed:
+        """Return the occupancy, and the fronts for the figure."""
+        counts = {"n_cells": state.n_cells, "n_edge": state.n_edge, "n_layer": state.n_layer}
+        scalars = {"step": state.step, "steps_of_fronts": list(state.steps_of_fronts), "n_shared": state.n_shared}
+        return {"occupancy": pack_rows(state.occupancy()), "fronts": np.array(state.fronts)}, scalars | counts
+
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> ClosureState:
+        """Return the state whose occupancy and fronts are in a checkpoint."""
+        occupancy = unpack_rows(arrays["occupancy"], self.automaton.lattice.shape)
+        return ClosureState(
+            scalars["step"],
+            scalars["n_cells"],
+            scalars["n_edge"],
+            scalars["n_layer"],
+            lambda: occupancy,
+            tuple(arrays["fronts"]),
+            tuple(scalars["steps_of_fronts"]),
+            scalars["n_shared"],
         )
-        fronts = [unpack_rows(front, automaton.lattice.shape) for front in self.fronts]
-        self.folder.save_figure(
-            "closure", closure_figure(automaton.lattice, automaton.fillable, fronts, self.steps_of_fronts, history)
-        )
-        if closed is None:
-            return f"The wound was still open after {last} steps: {n_open} of {history['n_open'][0]} sites."
-        return f"The wound closed after {closed} steps."
+
+    def done(self, state: ClosureState) -> tuple[float, str]:
+        """Return the fraction of the wound that is closed, and the step."""
+        return self._closed(self._n_open(state)), f"step {state.step}"
+
+    def outcome(self, end: End[ClosureState]) -> dict[str, Quantity]:
+        """Return the steps to closure, and the hash of the last occupancy."""
+        n_open, last = self._n_open(end.state), end.state.step
+        bits = np.packbits(end.state.occupancy()).tobytes()
+        closure = Quantity(None, "1", f"{n_open} sites still open") if n_open else Quantity(last, "1")
+        return {
+            "steps_to_closure": closure,
+            "occupancy_sha256": Quantity(hashlib.sha256(bits).hexdigest(), "", "bits of the lattice in C order"),
+            "seconds_per_step": Quantity(end.step_seconds / max(last, 1), "s"),
+            "n_sites": Quantity(self.automaton.lattice.n_sites, "1"),
+        }
+
+    def figures(self, end: End[ClosureState]) -> Mapping[str, Drawing]:
+        """Return the function that draws the fronts of the wound, and its closure over time."""
+        return {"closure": partial(self._closure, end)}
+
+    def _closure(self, end: End[ClosureState]) -> Any:
+        lattice, fillable = self.automaton.lattice, self.automaton.fillable
+        fronts = [unpack_rows(front, lattice.shape) for front in end.state.fronts]
+        return closure_figure(lattice, fillable, fronts, list(end.state.steps_of_fronts), end.history)
+
+    def sentence(self, end: End[ClosureState]) -> str:
+        """Return a sentence on when the wound closed, or which fraction is still open."""
+        n_open, last = self._n_open(end.state), end.state.step
+        if n_open:
+            return f"The wound was still open after {last} steps: {n_open} of {end.history['n_open'][0]} sites."
+        return f"The wound closed after {last} steps."
 
 
-def follow(case: AutomatonCase, ranks: Ranks) -> None:
-    """Do the steps of the run that the first rank leads: what it asks of all, in its order."""
-    automaton, cue = ranks.agree(lambda: _model(case))
-    state: Any = ranks.share(ranks.agree(lambda: None))  # the first rank's
-    core = ranks.agree(lambda: _core(case, automaton, state, ranks))
-    try:
-        while ranks.share(False):
-            core.advance(1, *cue)
-    except InvariantError:  # on all ranks alike: the first one, too, has this left to say
-        ranks.share(False)
-        raise
+def _is_at(core: NativeCore | ReferenceCore, step: int) -> bool:
+    return core.step == step
 
 
 def _model(case: AutomatonCase) -> tuple[Automaton, tuple[np.ndarray, float]]:
@@ -164,7 +184,7 @@ def _model(case: AutomatonCase) -> tuple[Automaton, tuple[np.ndarray, float]]:
         return automaton, automaton.checked(cue_of(case))
 
 
-def _core(case: AutomatonCase, automaton: Automaton, state: AutomatonState, ranks: Ranks) -> NativeCore | TwinCore:
+def _core(case: AutomatonCase, automaton: Automaton, state: AutomatonState, ranks: Ranks) -> NativeCore | ReferenceCore:
     with _in_memory(case):
         return automaton.core(state, ranks=ranks)
 
@@ -184,14 +204,3 @@ def _how(ranks: Ranks) -> str:
     return (
         f"The compiled automaton did the steps ({native.instruction_sets()[-1]}, {native.threads()} threads){together}."
     )
-
-
-def _row(step: int, n_cells: int, n_open: int, closed: float, n_edge: int, n_layer: int) -> dict[str, float | int]:
-    return {
-        "step": step,
-        "n_cells": n_cells,
-        "n_open": n_open,
-        "closed_fraction": closed,
-        "n_edge_divisions": n_edge,
-        "n_layer_divisions": n_layer,
-    }

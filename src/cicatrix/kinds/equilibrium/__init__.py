@@ -1,1 +1,1 @@
-"""Mechanics alone: the equilibrium of a body on a mesh of the user's."""
+"""Mechanics without healing: the equilibrium of a body on a mesh that the user supplies."""

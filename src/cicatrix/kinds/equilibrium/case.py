@@ -1,4 +1,4 @@
-"""What a case of kind "equilibrium" says: plain data."""
+"""Tables of a case of kind "equilibrium": plain data."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar, Literal
 import jax
 from pydantic import model_validator
 
-from ...cases.bounds import Integer, Number, Times, Vector, fault, limits
+from ...cases.bounds import Integer, Number, Times, Vector, bounds, fault
 from ...cases.laws import AnyGrowth, AnyLaw, checked_law
 from ...cases.table import Case, Table
 from ...materials.material import has_bulk_modulus
@@ -17,29 +17,29 @@ from ...materials.material import has_bulk_modulus
 class BodyTable(Table):
     """A mesh of tetrahedra with its tissue and its supports.
 
-    Cell data ``density_kg_m3``, and without ``[[law]]`` also ``youngs_modulus_kPa`` and ``poisson_ratio``. Point data ``fixed``
-    (0 or 1), and where there is need of them: ``prescribed_displacement`` (three components [mm], of fixed nodes), ``sliding``
-    (0 or 1: corners of boundary faces that slide without friction along the planes that they lie in at first),
-    ``pressurised`` (0 or 1: corners of boundary faces that bear ``loads.pressure_kPa``).
+    Cell data of the mesh are ``density_kg_m3`` and, without ``[[law]]``, ``youngs_modulus_kPa`` and ``poisson_ratio``.
+    Point data are ``fixed`` (0 or 1) and, as needed, ``prescribed_displacement`` (three components [mm], of fixed nodes),
+    ``sliding`` (0 or 1: corners of boundary faces that slide without friction along their initial planes) and ``pressurised``
+    (0 or 1: corners of boundary faces that carry ``loads.pressure_kPa``).
     """
 
-    mesh: Path
-    mesh_unit: Literal["mm", "cm", "m"] = "mm"
+    mesh: Path  # mesh file in any format of meshio, such as VTU
+    mesh_unit: Literal["mm", "cm", "m"] = "mm"  # unit of the coordinates in the file
 
 
-class Loads(Table):
-    """What pulls at the body."""
+class LoadsTable(Table):
+    """Loads on the body."""
 
-    gravity_m_s2: Vector = (0.0, -9.81, 0.0)
-    pressure_kPa: Number = 0.0  # from outside, along the normal that the faces have once they are deformed
+    gravity_m_s2: Vector = (0.0, -9.81, 0.0)  # gravitational acceleration along x, y and z
+    pressure_kPa: Number = 0.0  # external pressure on the pressurised faces, along their deformed normals
 
 
 class HistoryTable(Table):
-    """Shares of the loads and of prescribed displacements at some times, linear between; the body is led through them."""
+    """Load history: a factor on the loads and on the prescribed displacements, piecewise linear in time."""
 
-    time_h: Times
-    share: tuple[Number, ...]
-    steps_per_segment: Annotated[Integer, limits(least=1, most=100_000)] = 10
+    time_h: Times  # times at which the factor is given
+    share: tuple[Number, ...]  # the factor at these times; 1 is the full load
+    steps_per_segment: Annotated[Integer, bounds(least=1, most=100_000)] = 10  # time steps between two given times
 
     @model_validator(mode="after")
     def _fits_together(self) -> HistoryTable:
@@ -48,28 +48,37 @@ class HistoryTable(Table):
         return self
 
 
-class Solver(Table):
-    """What is looked for, and how exactly."""
+class EquilibriumSolverTable(Table):
+    """Forward or inverse problem, and its numerical solution.
 
-    inverse: bool = False  # the mesh is the loaded shape, and the unloaded one is looked for
-    relative_tolerance: Annotated[Number, limits(above=0.0, most=1e-2)] = 1e-8
-    linear: Literal["direct", "mumps", "gamg"] = "direct"  # of several ranks "direct" is MUMPS; both others need PETSc
+    The linear solver "direct" factorises the matrix, on several MPI ranks by MUMPS. "mumps" and "gamg" (algebraic multigrid)
+    need PETSc.
+    """
+
+    inverse: bool = False  # true: the mesh is the loaded shape, and the unloaded shape is computed
+    relative_tolerance: Annotated[Number, bounds(above=0.0, most=1e-2)] = (
+        1e-8  # residual over load where iterations end
+    )
+    linear: Literal["direct", "mumps", "gamg"] = "direct"  # solver of the linear systems
 
 
 class EquilibriumCase(Case):
-    """Mechanics alone: a body on a mesh of the user's, under gravity.
+    """Mechanics alone: equilibrium of a body on the user's own mesh, under gravity and pressure.
 
-    ``[[law]]`` gives all of it one tissue, that of ``kind = "material-point"``; ``[history]`` leads it through time.
+    ``[[law]]`` gives the whole body one tissue, with the keys of ``kind = "material-point"``; ``[history]`` makes the loads vary
+    in time.
     """
 
     files: ClassVar[tuple[str, ...]] = ("body.mesh",)
-    kind: Literal["equilibrium"] = "equilibrium"
+    kind: Literal["equilibrium"] = "equilibrium"  # kind of the case
     body: BodyTable
+    # material of the whole body, the sum of all tables; without it the mesh has E and nu of each tetrahedron
     law: tuple[AnyLaw, ...] = ()  # pyright: ignore[reportInvalidTypeForm]
+    # growth of the whole tissue
     growth: AnyGrowth | None = None  # pyright: ignore[reportInvalidTypeForm]
-    loads: Loads = Loads()
+    loads: LoadsTable = LoadsTable()
     history: HistoryTable | None = None
-    solver: Solver = Solver()
+    solver: EquilibriumSolverTable = EquilibriumSolverTable()
 
     @model_validator(mode="after")
     def _goes_together(self) -> EquilibriumCase:
@@ -77,9 +86,9 @@ class EquilibriumCase(Case):
             raise fault("growth", "needs a tissue: give [[law]]")
         law = checked_law(self) if self.law else None
         if law is not None and not has_bulk_modulus(law):
-            raise fault("law", "must bear change of volume in a body: give kappa_kPa of a part a value above 0")
+            raise fault("law", "must have a bulk modulus in a body: set kappa_kPa of at least one [[law]] above 0")
         if law is not None and self.history is None and jax.tree.leaves(law.initial_state((1,))):
-            raise fault("history", "is missing: the law's answer depends on time")
+            raise fault("history", "is missing: the response of the law depends on time")
         if self.history is not None and self.solver.inverse:
-            raise fault("history", "leads a body forward: leave solver.inverse out")
+            raise fault("history", "is for the forward problem: leave solver.inverse out")
         return self

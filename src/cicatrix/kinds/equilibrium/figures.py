@@ -1,4 +1,4 @@
-"""Picture of a body before and after: its surface, coloured by how far it moved."""
+"""Figures of a body in equilibrium: its surface before and after, coloured by displacement, and its history."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from mpl_toolkits.mplot3d.art3d import Poly3DCollection
 
 from ...mechanics.space import SolidSpace
 
-CORNER_TRIANGLES = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]  # of a face with its middles
+CORNER_TRIANGLES = [[0, 3, 5], [3, 1, 4], [5, 4, 2], [3, 4, 5]]  # flat triangles of a face with midpoints of edges
 
 
 def shape_figure(space: SolidSpace, start: np.ndarray, found: np.ndarray, inverse: bool) -> Figure:
-    """The given and the found surface side by side, in the same frame: start, found (n_nodes, 3) [mm]."""
+    """Draw the given and the computed surface side by side, at the same scale: start, found (n_nodes, 3) [mm]."""
     figure = Figure(figsize=(11, 5.2), layout="constrained")
     triangles = space.boundary[:, CORNER_TRIANGLES].reshape(-1, 3)
     moved = np.linalg.norm(found - start, axis=1)
@@ -34,8 +34,8 @@ def shape_figure(space: SolidSpace, start: np.ndarray, found: np.ndarray, invers
     return figure
 
 
-def march_figure(history: Mapping[str, np.ndarray]) -> Figure:
-    """What a body that is led through time did: displacement, volumes and energies against time."""
+def history_figure(history: Mapping[str, np.ndarray]) -> Figure:
+    """Draw displacement, volumes and energies of a body under a load history against time."""
     figure = Figure(figsize=(11, 3.4), layout="constrained")
     time = history["time_h"]
     left, middle, right = figure.subplots(1, 3)
@@ -43,9 +43,9 @@ def march_figure(history: Mapping[str, np.ndarray]) -> Figure:
     left.set(ylabel="largest displacement [mm]", title="shape")
     middle.plot(time, history["volume_ml"] / history["volume_ml"][0], color="tab:green", label="body")
     middle.plot(time, history["growth_mean"], color="tab:olive", ls="--", label="grown tissue, unstrained")
-    middle.set(ylabel="volume over that at first [1]", title="volume")
+    middle.set(ylabel="volume over initial volume [1]", title="volume")
     right.plot(time, history["strain_energy_uJ"], color="tab:red", label="stored")
-    right.plot(time, history["dissipation_uJ"], color="tab:gray", label="turned into heat")
+    right.plot(time, history["dissipation_uJ"], color="tab:gray", label="dissipated")
     right.set(ylabel="energy [uJ]", title="energy")
     for ax in (left, middle, right):
         ax.set_xlabel("time [h]")

@@ -1,131 +1,164 @@
-"""A body with history led through its loads, instant by instant."""
+"""Integrate the deformation of a body of history-dependent tissue through a load history."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
 from ...core.errors import ConvergenceError
 from ...core.units import acceleration_mm_s2, days_from_seconds, hours_from_seconds, ml_from_mm3
-from ...files.meshes import MeshedBody
-from ...mechanics.body import Body
+from ...mechanics.body_integration import BodyState, Load, initial_state, integrate
 from ...mechanics.equilibrium import Equilibrium
-from ...mechanics.march import Load, Moment, march, virgin
 from ...numerics.compiler import COMPILER
 from ...numerics.newton import NewtonReport
-from ...runs.progress import Progress
-from ...runs.results import Quantity, RunFolder
-from .build import instants, moved
+from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
+from ...runs.quantity import Quantity
+from ...runs.trees import packed_tree, part, prefixed, unpacked_tree
+from .build import displaced_positions, doubt_of, given_and_body, load_steps
 from .case import EquilibriumCase
-from .figures import march_figure, shape_figure
+from .figures import history_figure, shape_figure
+
+UNITS = {"max_displacement_mm": "mm", "strain_energy_uJ": "uJ", "dissipation_uJ": "uJ", "volume_ml": "ml"}
 
 
-@dataclass
-class March:
-    """One run; a checkpoint holds positions, the law's history at every quadrature point, and the kept factors."""
+class HistoryState(NamedTuple):
+    """State of a body at an instant of its load history."""
 
-    case: EquilibriumCase
-    folder: RunFolder
-    progress: Progress
-    given: MeshedBody
-    body: Body
+    number: int
+    """Number of the instant; -1 before the first load."""
+    body_state: BodyState
+    solver: Mapping[str, np.ndarray]
+    """Matrix factor with which the solver starts the next step."""
+    factorizations: int
 
-    def go(self) -> str:
-        """Lead the body through its loads; returns the sentence that ends the run."""
-        self.X = self.body.frame.space.positions
-        self.solver = Equilibrium(self.case.solver.relative_tolerance, lambda words: self.progress.update(None, words))
-        assert self.case.history is not None
-        self.asked = instants(self.case.history)
-        with self.progress.stage("march"):
-            number, now = self._kept()
-            now = self._march(number, now)
-        with self.progress.stage("outcome"):
-            return self._tell(now)
 
-    def _march(self, first: int, now: Moment) -> Moment:
-        """Write a row and a picture of the body at every instant from a number on."""
-        moments = march(self.body, self.X, self._loads(first), now, self.solver)
+class HistoryRun(Simulation[HistoryState]):
+    """Solves for the equilibrium of a viscous, growing or remodelling body at every instant of a load history."""
+
+    building, marching = "mesh", "march"
+
+    def __init__(self, case: EquilibriumCase, context: Context | None = None) -> None:
+        super().__init__(case, context)
+        self.given, self.body = given_and_body(case, self.context.ranks)
+        if words := doubt_of(self.given.points):
+            self.notes.append(words)
+            self.context.progress.update(1.0, words)
+        self.X = self.body.discretization.space.positions
+        on_message = partial(self.context.progress.update, None)
+        self.solver = Equilibrium(case.solver.relative_tolerance, on_message)
+        assert case.history is not None
+        self.load_steps = load_steps(case.history)
+        self._earlier = 0  # factorisations before the march began
+
+    def start(self) -> HistoryState:
+        """Return the body before its first load."""
+        return HistoryState(-1, initial_state(self.body, self.X, float(self.load_steps[0, 0])), {}, 0)
+
+    def march(self, state: HistoryState) -> Iterator[HistoryState]:
+        """Solve for equilibrium at every later instant, and yield the state."""
+        now, first = state.body_state, state.number + 1
+        self.solver.restore(self.body.discretization, state.solver)
+        self._earlier = state.factorizations - self.solver.factorizations
         try:
-            for number, reached in enumerate(moments, first):
+            for number, reached in enumerate(integrate(self.body, self.X, self._loads(first), now, self.solver), first):
                 now = reached
-                self._record(number, now)
-                self._save(number, now)
-                self.progress.update((number + 1) / len(self.asked), f"{hours_from_seconds(now.time):.4g} h simulated")
+                yield HistoryState(number, now, self.solver.state_arrays(), self._earlier + self.solver.factorizations)
         except ConvergenceError as error:
             raise ConvergenceError(
-                f"After {hours_from_seconds(now.time):.6g} h the body could not go on: {error}", error.history
+                f"After {hours_from_seconds(now.time):.6g} h the computation stopped: {error}", error.history
             ) from error
-        return now
 
     def _loads(self, number: int) -> Iterator[Load]:
         gravity = acceleration_mm_s2(np.array(self.case.loads.gravity_m_s2))
-        held_at = moved(self.body, self.given.displacement) if self.given.displacement.any() else None
-        for time, share in self.asked[number:]:
-            at = None if held_at is None else self.X + share * (held_at - self.X)
+        prescribed_positions = (
+            displaced_positions(self.body, self.given.displacement) if self.given.displacement.any() else None
+        )
+        for time, share in self.load_steps[number:]:
+            at = None if prescribed_positions is None else self.X + share * (prescribed_positions - self.X)
             yield Load(float(time), share * gravity, float(share), at)
 
-    def _record(self, number: int, now: Moment) -> None:
-        assert now.report is not None
-        shift = (now.x - self.X)[: len(self.given.points)]
-        W = np.asarray(_energy(self.body.law, self.body.law_gradient(self.X, now.x), now.state))
-        grown = np.broadcast_to(np.linalg.det(np.asarray(self.body.law.growth_tensor(now.state))), W.shape)
-        volumes = self.body.volumes(self.X)
-        self.folder.record(
-            {
-                "step": number,
-                "time_h": hours_from_seconds(now.time),
-                "share": float(self.asked[number, 1]),
-                "max_displacement_mm": float(np.linalg.norm(shift, axis=1).max()),
-                "strain_energy_uJ": float(np.sum(W * volumes)),
-                "dissipation_uJ": now.heat,
-                "volume_ml": ml_from_mm3(float(np.sum(self.body.dilation(self.X, now.x) * volumes))),
-                "growth_mean": float(np.sum(grown * volumes) / volumes.sum()),
-                "newton_iterations": now.report.iterations,
-            }
-        )
-        cells = {"strain_energy_density_kPa": W.mean(axis=1), "growth": grown.mean(axis=1)}
-        points, tetrahedra = self.given.points, self.given.tetrahedra
-        self.folder.write_fields(
-            "body", number, days_from_seconds(now.time), points, tetrahedra, {"displacement": shift}, cells
-        )
+    def _energy(self, now: BodyState) -> np.ndarray:
+        """Return the strain energy density at quadrature points [kPa]."""
+        return np.asarray(_energy(self.body.law, self.body.law_gradient(self.X, now.x), now.state))
 
-    def _save(self, number: int, now: Moment) -> None:
-        leaves = {f"leaf.{k}": np.asarray(leaf) for k, leaf in enumerate(jax.tree.leaves(now.state))}
-        kept = {f"solver.{name}": array for name, array in self.solver.kept().items()}
-        self.folder.save_checkpoint(number, {"x": now.x, **leaves, **kept}, {"time": now.time, "heat": now.heat})
+    def _growth(self, now: BodyState, shape: tuple[int, ...]) -> np.ndarray:
+        """Return the volume ratio of growth at quadrature points [1]."""
+        return np.broadcast_to(np.linalg.det(np.asarray(self.body.law.growth_tensor(now.state))), shape)
 
-    def _kept(self) -> tuple[int, Moment]:
-        """The next instant's number, and where the last checkpoint stands."""
-        kept, start = self.folder.checkpoint, virgin(self.body, self.X, float(self.asked[0, 0]))
-        if kept is None:
-            return 0, start
-        solver = {k.removeprefix("solver."): array for k, array in kept.arrays.items() if k.startswith("solver.")}
-        self.solver.restore(self.body.frame, solver)
-        form = jax.tree.structure(start.state)
-        state: Any = jax.tree.unflatten(form, [kept.arrays[f"leaf.{k}"] for k in range(form.num_leaves)])
-        scalars = kept.scalars
-        return kept.cycle + 1, Moment(scalars["time"], kept.arrays["x"], state, scalars["heat"], NewtonReport())
+    def _displacement(self, now: BodyState) -> np.ndarray:
+        """Return the displacement of the given nodes (n, 3) [mm]."""
+        return (now.x - self.X)[: len(self.given.points)]
 
-    def _tell(self, now: Moment) -> str:
-        history = self.folder.history()
-        n = int(history["newton_iterations"].sum())
-        units = {"max_displacement_mm": "mm", "strain_energy_uJ": "uJ", "dissipation_uJ": "uJ", "volume_ml": "ml"}
-        told = {name: Quantity(float(history[name][-1]), unit, "at the end") for name, unit in units.items()}
-        told["growth_mean"] = Quantity(
-            float(history["growth_mean"][-1]), "1", "volume of grown tissue over that at first"
-        )
-        told["newton_iterations"] = Quantity(n, "1")
-        told["factorizations"] = Quantity(self.solver.factorizations, "1", "since the run was last started")
-        told["n_dofs"] = Quantity(self.body.frame.supports(False).n_unknowns, "1", "degrees of freedom that are free")
-        self.folder.write_outcome(told)
-        self.folder.save_figure("shape", shape_figure(self.body.frame.space, self.X, now.x, inverse=False))
-        self.folder.save_figure("history", march_figure(history))
-        return f"The body went through {np.ptp(history['time_h']):.6g} h in {len(self.asked)} steps, {n} Newton iterations."
+    def rows(self, state: HistoryState) -> Iterator[Row]:
+        """Return displacement, energies, volume and growth at an instant."""
+        now = state.body_state
+        if now.report is None:
+            return
+        W, volumes = self._energy(now), self.body.volumes(self.X)
+        yield {
+            "step": state.number,
+            "time_h": hours_from_seconds(now.time),
+            "share": float(self.load_steps[state.number, 1]),
+            "max_displacement_mm": float(np.linalg.norm(self._displacement(now), axis=1).max()),
+            "strain_energy_uJ": float(np.sum(W * volumes)),
+            "dissipation_uJ": now.heat,
+            "volume_ml": ml_from_mm3(float(np.sum(self.body.volume_ratio(self.X, now.x) * volumes))),
+            "growth_mean": float(np.sum(self._growth(now, W.shape) * volumes) / volumes.sum()),
+            "newton_iterations": now.report.iterations,
+        }
+
+    def fields(self, state: HistoryState) -> Iterator[Fields]:
+        """Return displacement, strain energy density and growth on the given mesh."""
+        now = state.body_state
+        if now.report is None:
+            return
+        W = self._energy(now)
+        cells = {"strain_energy_density_kPa": W.mean(axis=1), "growth": self._growth(now, W.shape).mean(axis=1)}
+        days, points = days_from_seconds(now.time), {"displacement": self._displacement(now)}
+        yield Fields("body", state.number, days, self.given.points, self.given.tetrahedra, points, cells)
+
+    def pack(self, state: HistoryState) -> Packed:
+        """Return positions, the law's history at every quadrature point, and the solver's stored factor."""
+        now = state.body_state
+        arrays = {"x": now.x, **packed_tree(now.state), **prefixed("solver", state.solver)}
+        scalars = {"number": state.number, "time": now.time, "heat": now.heat, "factorizations": state.factorizations}
+        return arrays, scalars
+
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> HistoryState:
+        """Return the state in a checkpoint."""
+        state = unpacked_tree(initial_state(self.body, self.X).state, arrays)
+        now = BodyState(scalars["time"], arrays["x"], state, scalars["heat"], NewtonReport())
+        return HistoryState(scalars["number"], now, part("solver", arrays), scalars["factorizations"])
+
+    def done(self, state: HistoryState) -> tuple[float, str]:
+        """Return the fraction of the instants that is computed, and the simulated time."""
+        return (state.number + 1) / len(self.load_steps), f"{hours_from_seconds(state.body_state.time):.4g} h simulated"
+
+    def outcome(self, end: End[HistoryState]) -> dict[str, Quantity]:
+        """Return the last row, and the solver's effort."""
+        history = end.history
+        last = {name: Quantity(float(history[name][-1]), unit, "at the end") for name, unit in UNITS.items()}
+        growth, n_dofs = float(history["growth_mean"][-1]), self.body.discretization.supports(False).n_unknowns
+        return last | {
+            "growth_mean": Quantity(growth, "1", "volume of grown tissue relative to the initial one"),
+            "newton_iterations": Quantity(int(history["newton_iterations"].sum()), "1"),
+            "factorizations": Quantity(end.state.factorizations, "1"),
+            "n_dofs": Quantity(n_dofs, "1", "degrees of freedom that are free"),
+        }
+
+    def figures(self, end: End[HistoryState]) -> Mapping[str, Drawing]:
+        """Return the functions that draw the shape at the end, and the history."""
+        shape = partial(shape_figure, self.body.discretization.space, self.X, end.state.body_state.x, inverse=False)
+        return {"shape": shape, "history": partial(history_figure, end.history)}
+
+    def sentence(self, end: End[HistoryState]) -> str:
+        """Return a sentence on how far the load history was integrated, and in how many steps."""
+        n, hours = int(end.history["newton_iterations"].sum()), np.ptp(end.history["time_h"])
+        return f"The body was simulated over {hours:.6g} h in {len(self.load_steps)} steps, {n} Newton iterations."
 
 
 @partial(jax.jit, compiler_options=COMPILER)

@@ -1,1 +1,1 @@
-"""The main job: from an image and a planned resection to the healed shape."""
+"""Lumpectomy: from an image and a planned resection to the healed shape of the breast."""

@@ -16,7 +16,7 @@ from .case import LumpectomyCase
 
 
 def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[Anatomy, tuple[str, ...]]:
-    """Read the case's image and segment it, or take the labels as given; also what there is to note about it.
+    """Read the case's image and segment it, or take the labels as given; also return notes for the user.
 
     Raises
     ------
@@ -43,7 +43,7 @@ def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[
 
 
 def _turned(volume: Volume, axes: str | None) -> Volume:
-    """The volume as the case says that it lies, where the file is wrong."""
+    """Return the volume in the orientation that the case gives, in place of a wrong one in the file."""
     return volume if axes is None else volume.from_axes(axes)
 
 

@@ -1,4 +1,4 @@
-"""The body before surgery and what will be removed: what a section and a solid have in common."""
+"""Body before surgery and planned resection: base of the models of a section and of a whole breast."""
 
 from __future__ import annotations
 
@@ -9,28 +9,27 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2, density_kg_mm3
-from ...coupling.cycle import Tissue, tissue_law
+from ...coupling.cavity import Tissue, tissue_law
 from ...geometry.labels import TISSUES, Label
 from ...geometry.volume import Volume
 from ...materials.neo_hookean import NeoHookean, moduli_from_young
-from ...mechanics.body import Body, Frame
+from ...mechanics.body import Body, Discretization
 from ...mechanics.elements import meshed_wrinkling_strain, wrinkling_strain
 from ...mechanics.space import SolidSpace, Space
 from ...outcome.change import ShapeChange
-from .case import LumpectomyCase
-from .case import Tissue as TissueTable
+from .case import LumpectomyCase, TissueTable
 
-# which way is down, as LPS components, for each position of the patient
+# direction of gravity, as LPS components, for each position of the patient
 DOWN = {"upright": (0.0, 0.0, -1.0), "prone": (0.0, -1.0, 0.0), "supine": (0.0, 1.0, 0.0)}
-FARTHEST_NIPPLE_MM = 15.0  # from the skin of the mesh, or of the section
-LEAST_SKIN_FLAP_MM = 3.0  # the cavity stays this far below the skin and off the chest wall
+MAX_NIPPLE_DISTANCE_MM = 15.0  # largest distance of a given nipple from the skin of the mesh
+MIN_SKIN_FLAP_MM = 3.0  # the cavity stays this far below the skin and off the chest wall
 
 
 @dataclass(frozen=True, eq=False)
 class Anatomy:
     """The segmented image: labels (nz, ny, nx) and tissue probabilities (4, nz, ny, nx) on one grid.
 
-    ``tumour_mm`` (3,) LPS [mm] is where the tumour is known to be, if it is known otherwise than by its label.
+    ``tumour_mm`` (3,) LPS [mm] is the position of the tumour, if it is known from another source than the labels.
     """
 
     image: Volume | None
@@ -45,25 +44,25 @@ class Anatomy:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Plan(ABC):
-    """The meshed body, before anything is removed.
+class BreastModel(ABC):
+    """The meshed body before surgery, with its planned resection.
 
     Parameters
     ----------
     intact : Body
-        As imaged.
-    tissue, scar : Tissue
-        What is there before surgery, and what grows in the cavity.
+        The body as imaged.
+    tissue, scar : TissueTable
+        Tissue before surgery, and new tissue in the cavity.
     cavity : (n_elements,) bool array
-        Elements that the resection takes out.
+        Elements that the resection removes.
     centre_mm : (3,) array [mm]
         Centre of the resection, LPS.
     radius_mm : float
-        Its radius (in the section).
+        Radius of the resection; of a section, the radius in its plane.
     nipple_mm : (3,) array [mm], optional
-        Where the nipple is in the image, LPS, if the case says so.
+        Nipple in the image, LPS, if the case gives it.
     notes : tuple of str
-        What there is to tell about the mesh.
+        Sentences about the mesh for the manifest.
     """
 
     intact: Body
@@ -78,29 +77,29 @@ class Plan(ABC):
     @property
     def x_imaged(self) -> np.ndarray:
         """Positions as imaged (n_nodes, 3) [mm]."""
-        return self.intact.frame.space.positions
+        return self.intact.discretization.space.positions
 
     def gravity(self, position: str) -> np.ndarray:
-        """Gravity in the body's axes (3,) [mm/s^2]."""
+        """Return the gravitational acceleration in the body's axes for a patient position (3,) [mm/s^2]."""
         return self.from_patient(np.array(DOWN[position])) * acceleration_mm_s2(STANDARD_GRAVITY_M_S2)
 
     @property
     @abstractmethod
     def nipple(self) -> int:
-        """Number of the skin's point that is taken for the nipple (``nipple_among``)."""
+        """Index of the skin point that represents the nipple (``nipple_among``)."""
 
     def nipple_among(self, skin_mm: np.ndarray) -> int:
-        """Row of the skin's points (n, 3) LPS [mm], as imaged, that is nearest to the nipple; the foremost if it is not given.
+        """Return the index of the imaged skin point nearest to the nipple, or of the foremost if none is given: (n, 3) LPS [mm].
 
         Raises
         ------
         InputError
-            If none is near.
+            If no skin point is near the nipple.
         """
         if self.nipple_mm is None:
             return int(np.argmin(skin_mm[:, 1]))
         away = np.linalg.norm(skin_mm - self.nipple_mm, axis=1)
-        if away.min() > FARTHEST_NIPPLE_MM:
+        if away.min() > MAX_NIPPLE_DISTANCE_MM:
             raise InputError(
                 f"outcome.nipple_mm must lie on the skin of the body that is meshed; it lies {away.min():.1f} mm from it."
             )
@@ -108,27 +107,27 @@ class Plan(ABC):
 
     @property
     def slice_mm(self) -> float | None:
-        """Where a section lies along its normal, LPS [mm]; a solid has none."""
+        """Position of a section along its normal, LPS [mm]; None for a solid."""
         return None
 
     @abstractmethod
     def from_patient(self, vectors: np.ndarray) -> np.ndarray:
-        """LPS components in the body's axes: (..., 3) -> (..., 3)."""
+        """Convert LPS components to the body's axes: (..., 3) -> (..., 3)."""
 
     @abstractmethod
     def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
-        """Compare loaded shapes (n_nodes, 3) [mm]."""
+        """Measure the change of shape between two loaded shapes (n_nodes, 3) [mm]."""
 
     @abstractmethod
     def margin_mm(self, anatomy: Anatomy) -> float:
-        """Least distance from the labelled tumour to the edge of the resection [mm]; inf without tumour."""
+        """Compute the smallest distance from the labelled tumour to the edge of the resection [mm]; inf without tumour."""
 
     @abstractmethod
     def arrays(self) -> dict[str, np.ndarray]:
-        """What is needed to make the same plan again."""
+        """Return the arrays from which the same model can be built again."""
 
     def tissue_arrays(self) -> dict[str, np.ndarray]:
-        """The part of ``arrays`` that all plans have."""
+        """Return the arrays of tissue and resection, which sections and solids both store."""
         tissue = self.tissue
         return {
             "mu": tissue.mu,
@@ -140,12 +139,12 @@ class Plan(ABC):
 
 
 def resection_of(case: LumpectomyCase, anatomy: Anatomy) -> np.ndarray:
-    """Centre of the resection (3,) LPS [mm]: as the case says, else the tumour's.
+    """Return the centre of the resection (3,) LPS [mm], as the case gives it, or else the centre of the tumour.
 
     Raises
     ------
     InputError
-        If there is neither.
+        If the case gives no centre and there is no tumour.
     """
     if case.resection.centre_mm is not None:
         return np.asarray(case.resection.centre_mm, float)
@@ -153,64 +152,67 @@ def resection_of(case: LumpectomyCase, anatomy: Anatomy) -> np.ndarray:
         return anatomy.tumour_mm
     tumour = np.argwhere(anatomy.labels.values == Label.TUMOUR)
     if not len(tumour):
-        raise InputError("resection.centre_mm is missing and the labels hold no tumour: give the centre.")
+        raise InputError("resection.centre_mm is missing and the labels have no tumour: give the centre.")
     return anatomy.labels.position(tumour.mean(axis=0))
 
 
 def check_flap(depth_mm: float) -> None:
-    """Refuse a resection that is centred too near to the surface: depth of its centre [mm]."""
-    if depth_mm < LEAST_SKIN_FLAP_MM:
+    """Raise an InputError if the resection's centre lies less than the thickness of a skin flap below the surface [mm]."""
+    if depth_mm < MIN_SKIN_FLAP_MM:
         raise InputError(
-            f"resection.centre_mm must lie at least {LEAST_SKIN_FLAP_MM:g} mm inside the breast; "
+            f"resection.centre_mm must lie at least {MIN_SKIN_FLAP_MM:g} mm inside the breast; "
             f"it lies {depth_mm:.1f} mm inside."
         )
 
 
 def nipple_of(case: LumpectomyCase) -> np.ndarray | None:
-    """Where the case says that the nipple is (3,) LPS [mm]."""
+    """Return the nipple that the case gives (3,) LPS [mm], or None."""
     return None if case.outcome.nipple_mm is None else np.asarray(case.outcome.nipple_mm, float)
 
 
 def scar_of(case: LumpectomyCase) -> Tissue:
-    """What grows in the cavity."""
+    """Return the elastic constants and density of new tissue in the cavity."""
     new = case.tissue.scar
     return Tissue(*moduli_from_young(new.E_kPa, new.nu), density_kg_mm3(new.density_kg_m3))
 
 
-def intact_body(case: LumpectomyCase, frame: Frame, tissue: Tissue) -> Body:
-    """Join mesh and tissue."""
+def intact_body(case: LumpectomyCase, discretization: Discretization, tissue: Tissue) -> Body:
+    """Build the body before surgery from its mesh and tissue."""
     skin = case.tissue.skin
     natural = np.broadcast_to(np.eye(3), (*tissue.mu.shape, 3, 3))
     return Body(
-        frame,
+        discretization,
         law=tissue_law(NeoHookean(tissue.mu, tissue.kappa), np.zeros_like(tissue.mu), natural),
         density=tissue.density,
-        fraction=np.ones(frame.space.n_elements),
+        fraction=np.ones(discretization.space.n_elements),
         skin=NeoHookean(*moduli_from_young(skin.E_kPa, skin.nu)),
-        skin_thickness=np.full(len(frame.skin_facets), skin.thickness_mm),
-        wrinkling_strain=_wrinkling_strain(case, frame),
+        skin_thickness=np.full(len(discretization.skin_facets), skin.thickness_mm),
+        wrinkling_strain=_wrinkling_strain(case, discretization),
     )
 
 
-def _wrinkling_strain(case: LumpectomyCase, frame: Frame) -> float:
-    """Of skin on fat, as far as the mesh bears it [1]."""
+def _wrinkling_strain(case: LumpectomyCase, discretization: Discretization) -> float:
+    """Return the compressive strain at which skin on fat wrinkles, reduced where the mesh would resolve the wrinkles [1]."""
     skin, below = case.tissue.skin, case.tissue.fat.E_kPa
-    if isinstance(frame.space, Space):
+    if isinstance(discretization.space, Space):
         return wrinkling_strain(skin.E_kPa, below)
-    corners = frame.space.positions[frame.skin_nodes[:, :3]]
+    corners = discretization.space.positions[discretization.skin_nodes[:, :3]]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     return meshed_wrinkling_strain(skin.E_kPa, below, skin.thickness_mm, float(edges.min(initial=np.inf)))
 
 
 def quadrature_points(space: Space | SolidSpace) -> np.ndarray:
-    """Where the tissue is looked up (n_elements, n_qp, 3) [mm]."""
+    """Return the positions of the quadrature points of a mesh (n_elements, n_qp, 3) [mm], to evaluate tissue there."""
     return np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
 
 
 def tissue_at(table: TissueTable, anatomy: Anatomy, points: np.ndarray) -> Tissue:
-    """Mix constants by probability at points (..., 3) LPS [mm]; skin weighs there, but bears load as a membrane."""
+    """Average tissue constants by probability at points (..., 3) LPS [mm].
+
+    Skin adds density only; its stiffness is that of a membrane on the surface.
+    """
     shares = np.moveaxis(anatomy.probabilities.sample(points), 0, -1)
-    shares[..., TISSUES.index(Label.FAT)] += 1e-3  # where there is nothing at all
+    shares[..., TISSUES.index(Label.FAT)] += 1e-3  # fat where no tissue has a probability above 0
     bearing = np.where(np.array(TISSUES) == Label.SKIN, 0.0, shares)
     parts = [getattr(table, label.name.lower()) for label in TISSUES]
     mu, kappa = _mean(bearing, np.array([moduli_from_young(p.E_kPa, p.nu) for p in parts]))
@@ -219,5 +221,5 @@ def tissue_at(table: TissueTable, anatomy: Anatomy, points: np.ndarray) -> Tissu
 
 
 def _mean(shares: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Mean of some values of each tissue, by shares: (..., n_tissues), (n_tissues, n) -> (n, ...)."""
+    """Average values of the tissues, weighted by shares: (..., n_tissues), (n_tissues, n) -> (n, ...)."""
     return np.moveaxis(shares @ values / shares.sum(axis=-1, keepdims=True), -1, 0)

@@ -1,80 +1,103 @@
-"""From a case and a segmented image to the healing cycle: the one place that knows every package."""
+"""Build the healing cycle of a lumpectomy from a case and a segmented image; this module connects all packages below it."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from typing import Any, Protocol
 
 import numpy as np
 
-from ...cases.continuum_laws import Network
 from ...core.errors import InputError
-from ...core.units import days_from_weeks, mm_from_um
-from ...coupling.continuum import FieldsCycle
+from ...core.units import mm_from_um
+from ...coupling.cavity import Cavity
 from ...coupling.cycle import HealingCycle
-from ...coupling.deposition import Deposition
+from ...coupling.healing import Healing
+from ...coupling.ruler import Ruler
 from ...geometry.hexgrid import Lattice
-from ...geometry.transfer import OUTSIDE, SiteMap, locate_lattice, locate_sites
-from ...healing.automaton import Automaton
+from ...geometry.transfer import OUTSIDE, locate_lattice, locate_sites
 from ...mechanics.equilibrium import Equilibrium
-from .body import Anatomy, Plan
+from .automaton import automaton_healing
+from .body import Anatomy, BreastModel
 from .case import LumpectomyCase
-from .continuum import fields_of
-from .section import plan_section, section_from_arrays
+from .continuum import continuum_healing
+from .section import section_from_arrays, section_model
 from .sites import box_around, too_many
-from .solid import plan_solid, solid_from_arrays
+from .solid import solid_from_arrays, solid_model
 
 
-def plan(case: LumpectomyCase, anatomy: Anatomy) -> Plan:
-    """Mesh the body with the cavity's border on the sides of elements, and fill it with tissue.
+class HealingFactory(Protocol):
+    """Function that builds the wound-healing model named in a case, on the mesh of a breast."""
+
+    def __call__(
+        self,
+        case: LumpectomyCase,
+        model: BreastModel,
+        cavity: Cavity,
+        ruler: Ruler,
+        report: Callable[[str], None] | None,
+    ) -> Healing[Any]:
+        """Return the healing model of a cavity; ``report``, if given, is called with the simulated day."""
+        ...
+
+
+# the models that `healing.model` may name; their keys are in case.MODEL_KEYS
+MODELS: dict[str, HealingFactory] = {
+    "automaton": automaton_healing,
+    "fields": continuum_healing,
+}
+
+
+def breast_model(case: LumpectomyCase, anatomy: Anatomy) -> BreastModel:
+    """Build the breast before surgery: mesh it so that sides of elements form the border of the cavity, and assign tissue.
 
     Raises
     ------
     InputError
-        If there is no breast, no chest wall, the resection does not lie inside it, its lattice would be too large, or the
-        nipple lies off the skin.
+        If there is no breast or no chest wall, the resection does not lie inside the breast, the lattice would be too large, or
+        the nipple does not lie on the skin.
     """
-    planned = plan_section(case, anatomy) if case.dimension == 2 else plan_solid(case, anatomy)
-    _lattice(case, planned, planned.x_imaged)  # before hours are spent on what would not fit
-    _ = planned.nipple  # which may lie nowhere
-    return planned
+    model = section_model(case, anatomy) if case.dimension == 2 else solid_model(case, anatomy)
+    _lattice(case, model, model.x_imaged)  # refuses a lattice that is too large now, before hours of computation
+    _ = model.nipple  # raises an error now if no skin is near the nipple
+    return model
 
 
-def plan_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> Plan:
-    """Make the plan of a stopped run again, to the bit, without the image."""
+def breast_model_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> BreastModel:
+    """Rebuild the breast model of an interrupted run from its stored arrays, bitwise identical, without reading the image."""
     return section_from_arrays(case, arrays) if case.dimension == 2 else solid_from_arrays(case, arrays)
 
 
-def imaged_in(case: LumpectomyCase, planned: Plan, position: str) -> np.ndarray | None:
-    """Where a solve in this position may start: the imaged shape is the answer in the position of the image."""
-    return planned.x_imaged if position == case.image.position else None
+def imaged_in(case: LumpectomyCase, model: BreastModel, position: str) -> np.ndarray | None:
+    """Return the initial guess of the shape in a patient position: the imaged shape if imaged in that position, else None."""
+    return model.x_imaged if position == case.image.position else None
 
 
-def equilibrium_of(case: LumpectomyCase, tell: Callable[[str], None] | None = None) -> Equilibrium:
-    """The mechanical solver that the case asks for; ``tell`` hears of its iterations."""
-    return Equilibrium(case.solver.relative_tolerance, tell)
+def equilibrium_of(case: LumpectomyCase, report: Callable[[str], None] | None = None) -> Equilibrium:
+    """Build the equilibrium solver with the tolerance of a case; ``report`` is called with a message about each iteration."""
+    return Equilibrium(case.solver.relative_tolerance, report)
 
 
-def lattice_on(case: LumpectomyCase, planned: Plan, X: np.ndarray) -> tuple[Automaton, SiteMap]:
-    """Lay the lattice over the cavity and its active layer in the unloaded reference, and put the cells on it.
+def ruler_on(case: LumpectomyCase, model: BreastModel, X: np.ndarray) -> Ruler:
+    """Place the automaton's lattice over the cavity and the active layer around it, at unloaded positions X (n_nodes, 3) [mm].
 
     Raises
     ------
     InputError
-        If it would have more sites than fit into memory.
+        If the lattice would have more sites than fit into memory.
     """
-    space = planned.intact.frame.space
-    lattice, box = _lattice(case, planned, X)
-    nodes, is_solid = X[space.shape_nodes], space.n_axes == 3
+    space = model.intact.discretization.space
+    lattice, box = _lattice(case, model, X)
+    nodes, is_solid = X[space.geometric_nodes], space.n_axes == 3
     sites = locate_lattice(nodes, lattice, box) if is_solid else locate_sites(nodes[..., :2], _places(lattice))
     fillable = (sites.element != OUTSIDE).reshape(lattice.shape)
-    is_open = np.append(planned.cavity, False)[sites.element].reshape(lattice.shape)
-    return Automaton(lattice, fillable, is_open, case.rules(), case.run.seed), sites
+    is_open = np.append(model.cavity, False)[sites.element].reshape(lattice.shape)
+    return Ruler(lattice, sites, fillable, is_open)
 
 
-def _lattice(case: LumpectomyCase, planned: Plan, X: np.ndarray) -> tuple[Lattice, np.ndarray]:
-    """Lattice over the cavity with its active layer, and the box that it covers (2, n_axes) [mm]."""
-    space, pitch_um = planned.intact.frame.space, case.healing.pitch_um
-    around = X[space.shape_nodes[planned.cavity]].reshape(-1, 3)[:, : space.n_axes]
+def _lattice(case: LumpectomyCase, model: BreastModel, X: np.ndarray) -> tuple[Lattice, np.ndarray]:
+    """Return the lattice over the cavity and its active layer, and the box's lower and upper corner (2, n_axes) [mm]."""
+    space, pitch_um = model.intact.discretization.space, case.healing.pitch_um
+    around = X[space.geometric_nodes[model.cavity]].reshape(-1, 3)[:, : space.n_axes]
     box = box_around(around, case.rules(), pitch_um)
     lattice = Lattice.covering(box[0], box[1], mm_from_um(pitch_um))
     if reason := too_many(lattice, pitch_um):
@@ -87,46 +110,19 @@ def _places(lattice: Lattice) -> np.ndarray:
 
 
 def healing_cycle(
-    case: LumpectomyCase,
-    planned: Plan,
-    X: np.ndarray,
-    x_intact: np.ndarray,
-    equilibrium: Equilibrium,
-    network: Network | None = None,
-) -> HealingCycle:
-    """Join mechanics and healing.
+    case: LumpectomyCase, model: BreastModel, X: np.ndarray, x_intact: np.ndarray, equilibrium: Equilibrium
+) -> HealingCycle[Any]:
+    """Build the cycle that alternates between mechanical equilibrium and the wound-healing model named in the case.
 
-    X, x_intact (n_nodes, 3) [mm]: unloaded shape, and loaded shape in the healing position, of the intact body. A network comes
-    with healing by fields whose cells sense by it.
+    X, x_intact (n_nodes, 3) [mm]: unloaded shape, and loaded shape in the healing position, of the intact body.
+
+    Raises
+    ------
+    InputError
+        If the lattice does not fit into memory, or the model's keys do not fit together.
     """
-    automaton, sites = lattice_on(case, planned, X)
-    common = {
-        "intact": planned.intact,
-        "X": X,
-        "x_intact": x_intact,
-        "gravity": planned.gravity(case.coupling.healing_position),
-        "tissue": planned.tissue,
-        "scar": planned.scar,
-        "cavity": planned.cavity,
-        "contraction": case.healing.contraction_kPa,
-        "automaton": automaton,
-        "sites": sites,
-        "deposition": Deposition(case.healing.deposition == "loaded", case.healing.deposition_prestretch),
-        "days_per_cycle": case.coupling.days_per_cycle,
-        "days_per_step": case.days_per_step,
-        "equilibrium": equilibrium,
-    }
-    if case.healing.model == "automaton":
-        return HealingCycle(**common)
-    last_visit = max(visit_cycles(case).values(), default=0)
-    return FieldsCycle(**common, **fields_of(case, planned, network), last_visit=last_visit, tell=equilibrium.tell)
-
-
-def last_cycle(case: LumpectomyCase) -> int:
-    """Number of the last cycle that the case allows."""
-    return int(np.ceil(days_from_weeks(case.run.max_weeks) / case.coupling.days_per_cycle - 1e-9))
-
-
-def visit_cycles(case: LumpectomyCase) -> dict[float, int]:
-    """Cycle nearest to each visit: weeks -> cycle number."""
-    return {w: round(days_from_weeks(w) / case.coupling.days_per_cycle) for w in case.outcome.visits_weeks}
+    ruler = ruler_on(case, model, X)
+    cavity = Cavity(model.intact, X, model.cavity, model.tissue, model.scar, case.healing.contraction_kPa)
+    healing = MODELS[case.healing.model](case, model, cavity, ruler, equilibrium.tell)
+    gravity = model.gravity(case.coupling.healing_position)
+    return HealingCycle(cavity, x_intact, gravity, ruler, healing, equilibrium, case.coupling.days_per_cycle)

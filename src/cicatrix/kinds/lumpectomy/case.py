@@ -1,8 +1,8 @@
-"""What a case says: numbers, names and paths, frozen and checked; the names are the keys of the case file.
+"""Tables of a case of kind "lumpectomy", frozen and checked; the names of their fields are the keys of the case file.
 
 A case is plain data. It holds no arrays and no callables, so two cases are equal when their files say the same.
-Lengths are in mm, stiffness in kPa, where a key's name does not say otherwise. Where a default comes from is told
-by :mod:`cicatrix.kinds.lumpectomy.sources`.
+Lengths are in mm, stiffness in kPa, where a key's name does not say otherwise. The sources of default values
+are in :mod:`cicatrix.kinds.lumpectomy.sources`.
 """
 
 from __future__ import annotations
@@ -23,10 +23,10 @@ from ...cases.bounds import (
     Positive,
     Probability,
     Vector,
+    bounds,
     fault,
-    limits,
 )
-from ...cases.continuum import AnySensing, LogisticTable, ParametersTable, TimeTolerance, check_fields
+from ...cases.continuum import AnySensing, LogisticTable, ParametersTable, TimeTolerance, check_continuum
 from ...cases.table import Case, Table
 from ...core.errors import InputError
 from ...core.units import days_from_hours, mm_from_um
@@ -46,26 +46,29 @@ from .sites import box_around, too_many
 from .sources import sources_of
 
 Position = Literal["prone", "supine", "upright"]
-BY_FIELDS = ("mechanosensing", "parameters", "time_tolerance")  # keys of healing that one model has
-BY_AUTOMATON = (
-    *("contraction_kPa", "hours_per_step", "p_edge", "p_layer", "layer_um", "contact_inhibition"),
-    *("motility_substeps", "redistribution", "feedback"),
-)
-SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # what a mesh of three dimensions has by default
+# keys of `healing` that belong to one model alone, by the name of the model
+MODEL_KEYS: dict[str, tuple[str, ...]] = {
+    "automaton": (
+        *("contraction_kPa", "hours_per_step", "p_edge", "p_layer", "layer_um", "contact_inhibition"),
+        *("motility_substeps", "redistribution", "feedback"),
+    ),
+    "fields": ("mechanosensing", "parameters", "time_tolerance"),
+}
+SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # defaults of a mesh in three dimensions
 
 
-class ChestWall(Table):
-    """Where the breast ends behind, when it is not to be found automatically.
+class ChestWallTable(Table):
+    """Chest wall behind the breast, if it is not to be found automatically.
 
     Either a plane by ``point_mm`` and ``normal``, or a surface through ``points_mm``; image coordinates (LPS).
     """
 
-    point_mm: Vector | None = None
-    normal: Vector | None = None
-    points_mm: tuple[Vector, ...] | None = None
+    point_mm: Vector | None = None  # a point of the plane
+    normal: Vector | None = None  # normal of the plane, from the chest wall to the nipple, of any length
+    points_mm: tuple[Vector, ...] | None = None  # at least four points of the surface
 
     @model_validator(mode="after")
-    def _plane_or_points(self) -> ChestWall:
+    def _plane_or_points(self) -> ChestWallTable:
         plane = self.point_mm is not None or self.normal is not None
         if plane == (self.points_mm is not None):
             raise fault("points_mm", "must be given without point_mm and normal, or those two without it")
@@ -78,30 +81,30 @@ class ChestWall(Table):
         return self
 
 
-class Image(Table):
-    """The picture of the breast and how she lay."""
+class ImageTable(Table):
+    """Image of the breast, and the position of the patient in it."""
 
-    path: Path | None = None
-    phantom: Literal["half-ellipsoid"] | None = None
-    voxel_mm: Annotated[Positive, limits(most=20.0)] = 1.0  # of the phantom
-    weighting: Literal["t1", "t1-fatsat"] = "t1"
-    position: Position = "prone"
-    side: Literal["left", "right"] = "left"
-    axes: str | None = None  # where the file's x, y, z lead, such as "RIA", if it says so wrongly
-    plane: Literal["axial", "sagittal"] = "axial"
-    slice_mm: Number | None = None
-    labels: Path | None = None
-    chest_wall: ChestWall | None = None
+    path: Path | None = None  # an image file, or a folder with one DICOM series
+    phantom: Literal["half-ellipsoid"] | None = None  # a synthetic breast instead of an image
+    voxel_mm: Annotated[Positive, bounds(most=20.0)] = 1.0  # voxel size of the phantom
+    weighting: Literal["t1", "t1-fatsat"] = "t1"  # contrast of the MR image: T1, without or with fat suppression
+    position: Position = "prone"  # position of the patient in the image
+    side: Literal["left", "right"] = "left"  # the breast that is operated on
+    axes: str | None = None  # patient directions of the file's x, y, z, such as "RIA", if the file has them wrong
+    plane: Literal["axial", "sagittal"] = "axial"  # plane of the section; for dimension = 2
+    slice_mm: Number | None = None  # place of the section along its normal, LPS; default: the resection's centre
+    labels: Path | None = None  # label map of the tissues, used instead of the automatic segmentation
+    chest_wall: ChestWallTable | None = None  # found automatically by default
 
     @model_validator(mode="after")
-    def _one_origin(self) -> Image:
+    def _one_origin(self) -> ImageTable:
         if self.path is not None and self.phantom is not None:
             raise fault("phantom", "and path exclude each other: give one of the two")
         if self.axes is not None and self.axes not in AXES:
-            words = "must be three letters of L or R, A or P, S or I, where x, y and z lead, and no mirror image"
+            words = "must be the directions of x, y and z, one each of L or R, A or P, S or I, without mirroring"
             raise fault("axes", f'{words}; got "{self.axes}"')
         if self.phantom is not None and self.labels is not None:
-            raise fault("labels", "and phantom exclude each other: the phantom knows its own labels")
+            raise fault("labels", "and phantom exclude each other: the phantom has its own labels")
         if self.path is None and self.phantom is None and self.labels is None:
             raise fault(
                 "path", 'is missing: name an image, or a label map by labels, or set phantom = "half-ellipsoid"'
@@ -109,172 +112,179 @@ class Image(Table):
         return self
 
 
-class Fat(Table):
+class FatTable(Table):
     """Adipose tissue."""
 
-    E_kPa: Positive = 3.25
-    nu: PoissonRatio = 0.495
-    density_kg_m3: Positive = 930.0
+    E_kPa: Positive = 3.25  # Young's modulus at small strain
+    nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    density_kg_m3: Positive = 930.0  # mass density
 
 
-class Gland(Table):
+class GlandTable(Table):
     """Fibroglandular tissue."""
 
-    E_kPa: Positive = 3.24
-    nu: PoissonRatio = 0.495
-    density_kg_m3: Positive = 1040.0
+    E_kPa: Positive = 3.24  # Young's modulus at small strain
+    nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    density_kg_m3: Positive = 1040.0  # mass density
 
 
-class Skin(Table):
+class SkinTable(Table):
     """Skin, a layer on the outer surface."""
 
-    E_kPa: Positive = 56.0
-    nu: PoissonRatio = 0.495
-    density_kg_m3: Positive = 1090.0
-    thickness_mm: Positive = 1.45
+    E_kPa: Positive = 56.0  # Young's modulus at small strain
+    nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    density_kg_m3: Positive = 1090.0  # mass density
+    thickness_mm: Positive = 1.45  # thickness of the layer
 
 
-class Tumour(Table):
-    """The mass that is taken out."""
+class TumourTable(Table):
+    """Tumour, which is removed."""
 
-    E_kPa: Positive = 6 * 3.24
-    nu: PoissonRatio = 0.495
-    density_kg_m3: Positive = 1040.0
+    E_kPa: Positive = 6 * 3.24  # Young's modulus at small strain
+    nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    density_kg_m3: Positive = 1040.0  # mass density
 
 
-class Scar(Table):
+class ScarTable(Table):
     """New tissue in the cavity."""
 
-    E_kPa: Positive = 3.25 * 29 / 15
-    nu: PoissonRatio = 0.495
-    density_kg_m3: Positive = 1040.0
+    E_kPa: Positive = 3.25 * 29 / 15  # Young's modulus at small strain
+    nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    density_kg_m3: Positive = 1040.0  # mass density
 
 
-class Tissue(Table):
+class TissueTable(Table):
     """Small-strain stiffness, compressibility and density of each tissue."""
 
-    fat: Fat = Fat()
-    gland: Gland = Gland()
-    skin: Skin = Skin()
-    tumour: Tumour = Tumour()
-    scar: Scar = Scar()
+    fat: FatTable = FatTable()
+    gland: GlandTable = GlandTable()
+    skin: SkinTable = SkinTable()
+    tumour: TumourTable = TumourTable()
+    scar: ScarTable = ScarTable()
 
 
-class Resection(Table):
-    """What the surgeon removes: a ball; its centre left out is the tumour's centroid.
+class ResectionTable(Table):
+    """Ball of tissue that the surgeon removes.
 
-    A labelled tumour of which it leaves less than ``margin_mm`` around is noted in the manifest.
+    The manifest has a note if the margin around a labelled tumour is less than ``margin_mm``.
     """
 
-    centre_mm: Vector | None = None
-    radius_mm: Positive = 12.0
-    margin_mm: NotNegative = 5.0
+    centre_mm: Vector | None = None  # centre of the ball, LPS; default: the centroid of the tumour
+    radius_mm: Positive = 12.0  # radius of the ball
+    margin_mm: NotNegative = 5.0  # required distance from the tumour to the surface of the ball
 
 
-class Healing(Table):
-    """How the cavity heals, by the automaton or by fields, and the tissue that is laid down."""
+class HealingTable(Table):
+    """Model of the healing cavity, a cellular automaton or a continuum model, and deposition of new tissue.
 
-    model: Literal["automaton", "fields"] = "automaton"
-    deposition: Literal["unloaded", "loaded"] = "unloaded"
-    deposition_prestretch: Positive = 1.0
-    contraction_kPa: NotNegative = 0.0
-    pitch_um: Positive = 10.0
-    hours_per_step: Positive = HOURS_PER_STEP
-    p_edge: Probability = P_EDGE
-    p_layer: Probability = P_LAYER
-    layer_um: Positive = LAYER_UM
-    contact_inhibition: Annotated[Integer, limits(least=0, most=6)] = 1
-    motility_substeps: Annotated[Integer, limits(least=0, most=64)] = MOTILITY_SUBSTEPS
-    redistribution: Literal["route", "level-set"] = "route"
-    feedback: NotNegative = 1.0
+    The keys from ``hours_per_step`` to ``feedback`` and ``contraction_kPa`` belong to the automaton, those after ``feedback`` to
+    the continuum model ``"fields"``: the mechanical signal that cells sense, values in place of the defaults, and the accuracy of
+    time steps. Probabilities hold for a lattice of 10 um, one cell per site, and are converted to other pitches.
+    """
+
+    model: Literal["automaton", "fields"] = "automaton"  # cellular automaton, or continuum model
+    deposition: Literal["unloaded", "loaded"] = "unloaded"  # configuration in which new tissue is free of stress
+    deposition_prestretch: Positive = 1.0  # in-plane stretch of new tissue as it is deposited; for "loaded"
+    contraction_kPa: NotNegative = 0.0  # active tension of new tissue, equal in all directions
+    pitch_um: Positive = 10.0  # distance between neighbouring sites of the lattice
+    hours_per_step: Positive = HOURS_PER_STEP  # cell cycle: duration of a step at a pitch of 10 um
+    p_edge: Probability = P_EDGE  # probability per cell cycle that a cell at the edge divides into a free site
+    p_layer: Probability = P_LAYER  # probability per cell cycle that a cell of the active layer divides
+    layer_um: Positive = LAYER_UM  # thickness of the active layer of dividing cells along the wound's edge
+    contact_inhibition: Annotated[Integer, bounds(least=0, most=6)] = 1  # free neighbours a dividing edge cell needs
+    motility_substeps: Annotated[Integer, bounds(least=0, most=64)] = MOTILITY_SUBSTEPS  # diffusion steps per cycle
+    redistribution: Literal["route", "level-set"] = "route"  # daughters follow shortest paths, or a level set
+    feedback: NotNegative = 1.0  # p_layer is multiplied by 1 + feedback W / W_ref, W the strain energy density
+    # mechanical signal that the cells sense; one of the tables below
     mechanosensing: AnySensing = LogisticTable(type="logistic")  # pyright: ignore[reportInvalidTypeForm]
     parameters: ParametersTable = ParametersTable()
-    time_tolerance: TimeTolerance = 1e-3
+    time_tolerance: TimeTolerance = 1e-3  # largest error of densities and permanent stretches in a time step
 
     @model_validator(mode="after")
-    def _knows_its_keys(self) -> Healing:
-        """Refuse what the other model would read."""
-        other = BY_AUTOMATON if self.model == "fields" else BY_FIELDS
-        for key in other:
-            if key in self.model_fields_set:
-                which = "automaton" if self.model == "fields" else "fields"
-                raise fault(key, f'belongs to healing.model = "{which}"; leave it out')
-        check_fields(self.parameters.model_dump(), self.mechanosensing, is_sheet=False)
+    def _knows_its_keys(self) -> HealingTable:
+        """Raise an error for keys that only another model uses."""
+        for model, keys in MODEL_KEYS.items():
+            for key in keys:
+                if model != self.model and key in self.model_fields_set:
+                    raise fault(key, f'belongs to healing.model = "{model}"; leave it out')
+        check_continuum(self.parameters.model_dump(), self.mechanosensing, is_sheet=False)
         return self
 
     @model_validator(mode="after")
-    def _layer_holds_a_site(self) -> Healing:
+    def _layer_holds_a_site(self) -> HealingTable:
         if self.layer_um < self.pitch_um:
             raise fault("layer_um", f"must be at least pitch_um ({self.pitch_um:g}); got {self.layer_um:g}")
         return self
 
 
-class Coupling(Table):
-    """How often, and in which direction, mechanics and healing talk."""
+class CouplingTable(Table):
+    """Coupling of mechanics and healing."""
 
-    mode: Literal["one-way", "two-way"] = "two-way"
-    days_per_cycle: Positive = 7.0
-    healing_position: Position = "upright"
+    mode: Literal["one-way", "two-way"] = "two-way"  # "one-way": deformation does not influence the cells
+    days_per_cycle: Positive = 7.0  # time between two solutions of mechanical equilibrium
+    healing_position: Position = "upright"  # position of the patient while the wound heals
 
 
-class Outcome(Table):
-    """For which positions and visits the shape is reported."""
+class OutcomeTable(Table):
+    """Positions and visits for which the shape is reported."""
 
-    positions: tuple[Position, ...] = ("upright", "supine")
-    visits_weeks: Ascending = (2.0, 6.0, 10.0, 26.0)
-    nipple_mm: Vector | None = None  # in the image, LPS; the foremost point of the skin unless given
+    positions: tuple[Position, ...] = ("upright", "supine")  # positions of the patient
+    visits_weeks: Ascending = (2.0, 6.0, 10.0, 26.0)  # times after surgery
+    nipple_mm: Vector | None = None  # nipple in the image, LPS; default: the foremost point of the skin
 
     @model_validator(mode="after")
-    def _reports_something(self) -> Outcome:
+    def _reports_something(self) -> OutcomeTable:
         if not self.positions:
             raise fault("positions", 'must name at least one of "upright", "supine", "prone"')
         return self
 
 
-class Mesh(Table):
-    """Target edge lengths of the mesh: far from the cavity and at it; in three dimensions 5 and 2 mm by default."""
+class MeshTable(Table):
+    """Target edge lengths of the mesh; in three dimensions the defaults are 5 and 2 mm."""
 
-    edge_mm: Positive = 3.0
-    cavity_edge_mm: Positive = 1.0
+    edge_mm: Positive = 3.0  # edge length far from the cavity
+    cavity_edge_mm: Positive = 1.0  # edge length at the cavity, at most edge_mm
 
     @model_validator(mode="after")
-    def _finer_at_the_cavity(self) -> Mesh:
+    def _finer_at_the_cavity(self) -> MeshTable:
         if self.cavity_edge_mm > self.edge_mm:
             raise fault("cavity_edge_mm", f"must be at most edge_mm ({self.edge_mm:g}); got {self.cavity_edge_mm:g}")
         return self
 
 
-class Solver(Table):
-    """When Newton's method is done: residual over load."""
+class LumpectomySolverTable(Table):
+    """Convergence criterion of Newton's method."""
 
-    relative_tolerance: Annotated[Number, limits(above=0.0, most=0.01)] = 1e-8
+    relative_tolerance: Annotated[Number, bounds(above=0.0, most=0.01)] = (
+        1e-8  # residual over load where iterations end
+    )
 
 
-class Run(Table):
-    """Seed of the random numbers and the last week."""
+class LumpectomyRunTable(Table):
+    """Seed of the random numbers, and the longest time that is simulated."""
 
-    seed: Annotated[Integer, limits(least=0, below=2**63)] = 1
-    max_weeks: Positive = 52.0
+    seed: Annotated[Integer, bounds(least=0, below=2**63)] = 1  # equal seeds give equal random numbers
+    max_weeks: Positive = 52.0  # the run ends here if the wound is still open
 
 
 class LumpectomyCase(Case):
-    """The main job: from an image and a planned lumpectomy to the healed shape."""
+    """Lumpectomy: from an image of the breast and a planned resection to the healed shape."""
 
     files: ClassVar[tuple[str, ...]] = (
         *("image.path", "image.labels"),
         *("healing.mechanosensing.species", "healing.mechanosensing.reactions"),
     )
-    kind: Literal["lumpectomy"] = "lumpectomy"
-    dimension: Literal[2, 3] = 2
-    image: Image
-    tissue: Tissue = Tissue()
-    resection: Resection = Resection()
-    healing: Healing = Healing()
-    coupling: Coupling = Coupling()
-    outcome: Outcome = Outcome()
-    mesh: Mesh = Mesh()
-    solver: Solver = Solver()
-    run: Run = Run()
+    kind: Literal["lumpectomy"] = "lumpectomy"  # kind of the case
+    dimension: Literal[2, 3] = 2  # 2: a plane section of the breast; 3: the whole breast
+    image: ImageTable
+    tissue: TissueTable = TissueTable()
+    resection: ResectionTable = ResectionTable()
+    healing: HealingTable = HealingTable()
+    coupling: CouplingTable = CouplingTable()
+    outcome: OutcomeTable = OutcomeTable()
+    mesh: MeshTable = MeshTable()
+    solver: LumpectomySolverTable = LumpectomySolverTable()
+    run: LumpectomyRunTable = LumpectomyRunTable()
 
     @property
     def seed(self) -> int:
@@ -282,12 +292,12 @@ class LumpectomyCase(Case):
         return self.run.seed
 
     def sources(self) -> dict[str, str]:
-        """Return where the numbers of tissue and healing come from, by dotted key."""
+        """Return the source of each tissue and healing parameter, by dotted key."""
         return sources_of(self, LumpectomyCase(image=self.image))
 
     @property
     def days_per_step(self) -> float:
-        """Length of one automaton step at this pitch [days]."""
+        """Duration of one automaton step at the lattice pitch of the case [days]."""
         h = self.healing
         hours = hours_per_step_at_pitch(
             h.pitch_um, h.hours_per_step, self.dimension, p_layer=h.p_layer, layer_um=h.layer_um
@@ -295,12 +305,12 @@ class LumpectomyCase(Case):
         return days_from_hours(hours)
 
     def rules(self) -> AutomatonRules:
-        """What a cell does in one step, at this pitch.
+        """Build the rules of the automaton, with probabilities converted to the lattice pitch of the case.
 
         Raises
         ------
         InputError
-            If the rates make no rules at this pitch.
+            If a rate gives no valid probability at the lattice pitch of the case.
         """
         h = self.healing
         return rules_at_pitch(
@@ -317,7 +327,7 @@ class LumpectomyCase(Case):
 
     @model_validator(mode="after")
     def _sites_fit_into_memory(self) -> LumpectomyCase:
-        """Refuse at once what the lattice over the resection's ball, not yet deformed, would need."""
+        """Refuse a pitch at which the lattice over the undeformed ball of the resection would not fit into memory."""
         if self.dimension == 2:
             return self
         pitch_um, ball = self.healing.pitch_um, self.resection.radius_mm * np.array([[-1.0] * 3, [1.0] * 3])
@@ -325,7 +335,7 @@ class LumpectomyCase(Case):
             box = box_around(ball, self.rules(), pitch_um)
             reason = too_many(Lattice.covering(box[0], box[1], mm_from_um(pitch_um)), pitch_um)
         except InputError:
-            return self  # told when it is run, with the reason
+            return self  # the run reports this error, with the reason
         if reason:
             raise fault("healing.pitch_um", reason)
         return self
@@ -333,7 +343,7 @@ class LumpectomyCase(Case):
     @model_validator(mode="before")
     @classmethod
     def _edges_of_a_solid(cls, tables: Any) -> Any:
-        """Fill in what a mesh of three dimensions has by default."""
+        """Fill in the default edge lengths of a mesh in three dimensions."""
         if isinstance(tables, Mapping) and tables.get("dimension") == 3:
             given = tables.get("mesh", {})
             if isinstance(given, Mapping):

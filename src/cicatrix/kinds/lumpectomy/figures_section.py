@@ -1,4 +1,4 @@
-"""Pictures of a run, in the style of Garbey et al., Figs 2, 5 and 6; colours that the colour-blind can tell apart."""
+"""Figures of a plane section, in the style of Garbey et al., Figs 2, 5 and 6, in colours safe for colour-blind readers."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from ...geometry.hexgrid import Lattice
 from ...geometry.labels import Label
 from ...mechanics.body import Body
 from .body import Anatomy
-from .section import SectionPlan
+from .section import SectionModel
 
 BEFORE, HEALED, WOUND = "#000000", "#d62728", "#e69f00"
 TISSUE_COLOURS = {Label.FAT: "#f0e442", Label.GLAND: "#0072b2", Label.SKIN: "#cc79a7", Label.TUMOUR: "#d55e00"}
 
 
-def section_figure(planned: SectionPlan, anatomy: Anatomy) -> Figure:
-    """The section as imaged: picture, tissue classes, mesh, cavity."""
+def section_figure(model: SectionModel, anatomy: Anatomy) -> Figure:
+    """Draw the section as imaged: image, tissue classes, mesh and cavity."""
     figure = Figure(figsize=(12, 5.6), layout="constrained")
     axes = figure.subplots(1, 2)
-    raster = planned.section.raster(anatomy.labels, min(*anatomy.labels.spacing_mm, 1.0))
-    points = planned.section.to_patient(raster.points)
+    raster = model.section.raster(anatomy.labels, min(*anatomy.labels.spacing_mm, 1.0))
+    points = model.section.to_patient(raster.points)
     picture = anatomy.image.sample(points) if anatomy.image is not None else anatomy.labels.sample(points, order=0)
     for ax in axes:
         top = np.percentile(picture, 99.5)
         ax.imshow(picture, extent=raster.extent, cmap="gray", vmin=0, vmax=top)
-        _dress(ax, planned)
+        _dress(ax, model)
     shares = anatomy.probabilities.sample(points)
     for channel, (label, colour) in enumerate(TISSUE_COLOURS.items()):
         if (shares[channel] > 0.5).any():
@@ -39,13 +39,13 @@ def section_figure(planned: SectionPlan, anatomy: Anatomy) -> Figure:
             axes[0].plot([], [], color=colour, label=label.name.lower())
     axes[0].legend(loc="lower right", fontsize=8)
     axes[0].set_title("tissue classes")
-    mesh = planned.mesh
+    mesh = model.mesh
     axes[1].triplot(*mesh.p, mesh.t.T, color="#56b4e9", linewidth=0.25)
-    axes[1].triplot(*mesh.p, mesh.t.T[planned.cavity], color=WOUND, linewidth=0.4)
+    axes[1].triplot(*mesh.p, mesh.t.T[model.cavity], color=WOUND, linewidth=0.4)
     for name, colour in (("skin", TISSUE_COLOURS[Label.SKIN]), ("wall", "#009e73")):
         ends = mesh.p[:, mesh.facets[:, mesh.boundaries[name]]]
         axes[1].plot(ends[0], ends[1], color=colour, linewidth=1.5)
-        axes[1].plot([], [], color=colour, label={"skin": "skin", "wall": "chest wall (held)"}[name])
+        axes[1].plot([], [], color=colour, label={"skin": "skin", "wall": "chest wall (fixed)"}[name])
     axes[1].plot([], [], color=WOUND, label="resection")
     axes[1].legend(loc="lower right", fontsize=8)
     axes[1].set_title(f"mesh, {mesh.nelements} triangles")
@@ -53,29 +53,29 @@ def section_figure(planned: SectionPlan, anatomy: Anatomy) -> Figure:
     return figure
 
 
-def energy_figure(planned: SectionPlan, panels: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
-    """Strain energy on loaded shapes: title -> (positions (n_nodes, 3), energy (n_elements,) [kPa], shown (n_elements,))."""
+def energy_figure(model: SectionModel, panels: Mapping[str, tuple[np.ndarray, np.ndarray, np.ndarray]]) -> Figure:
+    """Map strain energy density on loaded shapes: title -> (positions [mm], energy of elements [kPa], is shown)."""
     figure = Figure(figsize=(5 * len(panels), 5), layout="constrained")
     axes = figure.subplots(1, len(panels), squeeze=False)
     top = max(np.percentile(W[shown], 98) for _, W, shown in panels.values())
-    triangles = planned.intact.frame.space.element_nodes[:, :3]
+    triangles = model.intact.discretization.space.element_nodes[:, :3]
     for ax, (title, (x, W, shown)) in zip(axes[0], panels.items()):
         drawn = ax.tripcolor(x[:, 0], x[:, 1], triangles[shown], W[shown], vmin=0, vmax=top, cmap="viridis")
-        ax.plot(*_closed(x[planned.outline, :2]).T, color=BEFORE, linewidth=0.8)
+        ax.plot(*_closed(x[model.outline, :2]).T, color=BEFORE, linewidth=0.8)
         ax.set_title(title)
-        _dress(ax, planned)
+        _dress(ax, model)
     _zoom(axes[0], np.concatenate([x[triangles.ravel(), :2] for x, _, _ in panels.values()]))
     figure.colorbar(drawn, ax=axes, label="strain energy density [kPa]", shrink=0.8)
     return figure
 
 
 def energy_panel(body: Body, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What ``energy_figure`` draws of a body: positions, mean energy per element [kPa], elements with tissue."""
+    """Return the data of a panel of ``energy_figure``: positions x, mean energy density [kPa] and whether there is tissue."""
     return x, body.energy_density(X, x).mean(axis=1), body.fraction > 0.0
 
 
 def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]) -> Figure:
-    """Energy along the resection edge before and after surgery (G Fig. 2): direction -> ((angle, W), (angle, W))."""
+    """Plot strain energy density W along the cavity's edge: title -> ((angle, W) before surgery, (angle, W) after)."""
     columns = min(3, len(profiles))
     rows = -(-len(profiles) // columns)
     figure = Figure(figsize=(4.2 * columns, 3 * rows), layout="constrained")
@@ -98,9 +98,9 @@ def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tupl
 
 
 def closure_figure(
-    planned: SectionPlan, lattice: Lattice, fronts: Iterable[np.ndarray], rows: list[dict], title: str
+    model: SectionModel, lattice: Lattice, fronts: Iterable[np.ndarray], rows: list[dict], title: str
 ) -> Figure:
-    """The wound's outline at the end of each cycle (G Fig. 5), and closure over time."""
+    """Draw the wound's outline at the end of each cycle (Garbey et al., Fig. 5), and closure over time."""
     figure = Figure(figsize=(11, 5), layout="constrained")
     left, right = figure.subplots(1, 2)
     positions = lattice.positions()
@@ -112,14 +112,14 @@ def closure_figure(
                 positions[..., 0], positions[..., 1], is_open.astype(float), [0.5], colors=[colour], linewidths=1.0
             )
     left.set_title(title)
-    _dress(left, planned)
+    _dress(left, model)
     left.autoscale_view()
     closure_curves(right, rows)
     return figure
 
 
 def closure_curves(right: Axes, rows: list[dict]) -> None:
-    """What is closed, the radius of a disc or ball of the same size, and the asymmetry, over time."""
+    """Plot closed fraction, radius of a disc or ball of equal size, and asymmetry over time."""
     days, solid = [r["time_days"] for r in rows], "open_volume_mm3" in rows[0]
     what = "volume" if solid else "area"
     closed = [100 * r["closed_fraction"] for r in rows]
@@ -137,11 +137,12 @@ def closure_curves(right: Axes, rows: list[dict]) -> None:
 
 
 def outline_figure(
-    planned: SectionPlan, shapes: Mapping[str, list[tuple[str, np.ndarray]]], cavity: Mapping[str, np.ndarray]
+    model: SectionModel, shapes: Mapping[str, list[tuple[str, np.ndarray]]], cavity: Mapping[str, np.ndarray]
 ) -> Figure:
-    """Breast outlines as the tissue heals (G Fig. 6): position -> [(name, positions (n_nodes, 3)), ...], healed last.
+    """Draw the outlines of the breast during healing, one panel per patient position (Garbey et al., Fig. 6).
 
-    cavity: position -> loaded positions whose resection edge is drawn.
+    ``shapes`` has, by patient position, a list of (label, node positions (n_nodes, 3) [mm]), which ends with the healed shape.
+    ``cavity`` has, by patient position, the node positions (n_nodes, 3) [mm] from which the edge of the resection is drawn.
     """
     figure = Figure(figsize=(6 * len(shapes), 6), layout="constrained")
     axes = figure.subplots(1, len(shapes), squeeze=False)
@@ -152,33 +153,33 @@ def outline_figure(
             colour = BEFORE if first else HEALED if last else middle[i - 1]
             width = 2.0 if first or last else 1.0
             ax.plot(
-                *_closed(x[planned.outline, :2]).T,
+                *_closed(x[model.outline, :2]).T,
                 color=colour,
                 linewidth=width,
                 label=name,
                 linestyle="--" if first else "-",
             )
         if position in cavity:
-            ends = cavity[position][_cavity_edges(planned)]
+            ends = cavity[position][_cavity_edges(model)]
             ax.plot(ends[..., 0].T, ends[..., 1].T, color=WOUND, linewidth=1.0)
             ax.plot([], [], color=WOUND, label="resection edge, healed")
         ax.set_title(position)
-        _dress(ax, planned)
+        _dress(ax, model)
     figure.legend(*axes[0, 0].get_legend_handles_labels(), fontsize=8, loc="outside lower center", ncols=4)
     return figure
 
 
-def _cavity_edges(planned: SectionPlan) -> np.ndarray:
-    return planned.intact.frame.space.facet_nodes(planned.cavity_border)[:, :2]
+def _cavity_edges(model: SectionModel) -> np.ndarray:
+    return model.intact.discretization.space.facet_nodes(model.cavity_border)[:, :2]
 
 
-def _dress(ax: Axes, planned: SectionPlan) -> None:
-    """Equal scales, names with units, and axes the way radiologists look: posterior down, superior up."""
+def _dress(ax: Axes, model: SectionModel) -> None:
+    """Set equal scales, axis labels with units, and the orientation of radiology: posterior down, superior up."""
     ax.set_aspect("equal")
-    labels = planned.section.axis_labels
+    labels = model.section.axis_labels
     ax.set_xlabel(labels[0])
     ax.set_ylabel(labels[1])
-    downward = planned.section.plane == "axial"
+    downward = model.section.plane == "axial"
     if ax.yaxis_inverted() != downward:
         ax.invert_yaxis()
 

@@ -1,4 +1,4 @@
-"""The breast of a label map as a mesh with tissue, for mechanics alone."""
+"""Mesh of the breast in a label map with its tissue, for mechanics alone."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from ...geometry.tetrahedra import with_middles
 from ...materials.neo_hookean import young_from_moduli
 from ...mechanics.space import SolidSpace
 from .body import Anatomy, quadrature_points, tissue_at
-from .case import Tissue as TissueTable
+from .case import TissueTable
 
 
 def meshed_labels(
     anatomy: Anatomy, edge_mm: float, tissue: TissueTable
 ) -> tuple[BodyMesh, np.ndarray, np.ndarray, np.ndarray]:
-    """Mesh the breast, and give each tetrahedron the mean of its tissue.
+    """Mesh the breast, and give each tetrahedron the mean elastic constants and density of its tissue.
 
     Returns
     -------
@@ -24,7 +24,7 @@ def meshed_labels(
     Raises
     ------
     InputError
-        If there is no breast, nothing holds it, or it has no good mesh.
+        If there is no breast, it touches no chest wall, or meshing fails.
     """
     mesh = mesh_body(anatomy.labels, edge_mm, tissue=anatomy.breast)
     space = SolidSpace(*with_middles(mesh.nodes, mesh.tetrahedra))

@@ -1,272 +1,280 @@
-"""A lumpectomy, from its image to the healed shape: the stages of a run and what each writes."""
+"""A lumpectomy, from its image to the healed shape."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...cases.continuum_laws import network_of
-from ...coupling.cycle import HealingCycle, TissueState, run
-from ...healing.automaton import AutomatonState
-from ...healing.continuum import course_arrays, course_from, course_scalars
+from ...coupling.cycle import HealingCycle, run
+from ...coupling.healing import TissueState
+from ...files.pictures import picture
+from ...geometry.volume import Volume
 from ...mechanics.body import Body, mean_energy
-from ...mechanics.equilibrium import Equilibrium
 from ...numerics.newton import NewtonReport
 from ...outcome.closure import middle_layer, wound_centre
-from ...runs.checkpoints import Checkpoint
-from ...runs.progress import Progress
-from ...runs.results import Quantity, RunFolder
+from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation, SurfaceData
+from ...runs.quantity import Quantity
+from ...runs.trees import part, prefixed
 from .anatomy import anatomy_of
-from .body import Plan
-from .build import equilibrium_of, healing_cycle, imaged_in, last_cycle, plan, plan_from_arrays, visit_cycles
+from .body import Anatomy, BreastModel
+from .build import breast_model, breast_model_from_arrays, equilibrium_of, healing_cycle, imaged_in
 from .case import LumpectomyCase
-from .continuum import thin_fronts_of
 from .figures import BEFORE, FRESH, HEALED, first_figure, last_figures
-from .solid import SolidPlan
+from .solid import SolidModel
 from .summary import closing_sentence, closure_numbers, history_row, outcome_numbers, visit_name
+from .visits import last_cycle, visit_cycles
+
+Which = tuple[str, str]  # position of the patient and moment, such as ("upright", "week 2")
+Shapes = Mapping[Which, np.ndarray]  # loaded positions (n_nodes, 3) [mm]
 
 
-@dataclass
-class LumpectomyRun:
-    """The stages of one run, in order; everything a checkpoint must hold is in ``shapes``, ``fronts``, ``rows``, the state."""
+class BreastState(NamedTuple):
+    """State of the breast before surgery, or after a cycle of healing."""
 
-    case: LumpectomyCase
-    folder: RunFolder
-    progress: Progress
-    shapes: dict[tuple[str, str], np.ndarray] = field(default_factory=dict)  # (position, moment) -> x (n_nodes, 3)
-    fronts: list[np.ndarray] = field(default_factory=list)  # open sites after each cycle; of a solid, one layer of them
-    rows: list[dict] = field(default_factory=list)
+    tissue: TissueState | None
+    """State of the healing cycle; None before surgery."""
+    shapes: Shapes
+    """All loaded shapes computed so far, by position of the patient and moment."""
+    new: tuple[Which, ...]
+    """Keys of the shapes that were computed for this state."""
+    factor: Mapping[str, np.ndarray]
+    """Matrix factor with which the solver starts the next equilibrium solve."""
+    fronts: tuple[np.ndarray, ...] = ()
+    """Open sites after each cycle; for a solid, only in one layer of the lattice."""
+    rows: tuple[dict, ...] = ()
+    """Rows of the history."""
 
-    def go(self) -> str:
-        """Run all stages; returns the sentence that ends the run."""
-        if self.folder.checkpoint is None:
-            planned, cycle, start = self._begin()
-        else:
-            planned, cycle, start = self._resume(self.folder.checkpoint)
-        state = start
-        with self.progress.stage("heal"):
-            for state in run(cycle, start, last_cycle(self.case)):
-                self._record(planned, cycle, state)
-                self.progress.update(self.rows[-1]["closed_fraction"], f"day {self.rows[-1]['time_days']:.0f}")
-        with self.progress.stage("outcome"):
-            self._finish(planned, cycle, state)
-        return closing_sentence(cycle, state)
 
-    def _begin(self) -> tuple[Plan, HealingCycle, TissueState]:
-        anatomy, notes = anatomy_of(self.case, self.progress)
-        self.folder.save_labels(anatomy.labels)
-        if anatomy.image is not None:
-            self.folder.save_picture(anatomy.image)
-        for note in notes:
-            self.folder.note(note)
-        with self.progress.stage("mesh"):
-            planned = plan(self.case, anatomy)
-            for note in planned.notes:
-                self.folder.note(note)
-            self.folder.found(
-                resection_centre_mm=planned.centre_mm, radius_in_body_mm=planned.radius_mm, slice_mm=planned.slice_mm
+class LumpectomyRun(Simulation[BreastState]):
+    """Computes the unloaded breast, removes the cavity, simulates healing, and solves for the loaded shapes at visits."""
+
+    building, marching = "", "heal"
+
+    def __init__(self, case: LumpectomyCase, context: Context | None = None) -> None:
+        super().__init__(case, context)
+        self.anatomy: Anatomy | None = None
+        self.equilibrium = equilibrium_of(case, lambda words: self.context.progress.update(None, words))
+        self.home = case.coupling.healing_position
+        self.positions = list(dict.fromkeys([self.home, *case.outcome.positions]))
+        checkpoint = self.context.checkpoint
+        self.model = (
+            self._build_model()
+            if checkpoint is None
+            else breast_model_from_arrays(case, part("model", checkpoint.arrays))
+        )
+
+    def _build_model(self) -> BreastModel:
+        self.anatomy, notes = anatomy_of(self.case, self.context.progress)
+        with self.context.progress.stage("mesh"):
+            model = breast_model(self.case, self.anatomy)
+        self.notes += [*notes, *model.notes]
+        margin, wanted = model.margin_mm(self.anatomy), self.case.resection.margin_mm
+        if margin < wanted:
+            self.notes.append(
+                f"the resection leaves {margin:.1f} mm around the tumour; resection.margin_mm is {wanted:g}"
             )
-            margin, wanted = planned.margin_mm(anatomy), self.case.resection.margin_mm
-            if margin < wanted:
-                self.folder.note(
-                    f"the resection leaves {margin:.1f} mm around the tumour; resection.margin_mm is {wanted:g}"
-                )
-            self.folder.save_figure("section", first_figure(planned, anatomy))
-        equilibrium = self._equilibrium()
-        with self.progress.stage("unload"):
-            X, report = equilibrium.unloaded(
-                planned.intact, planned.x_imaged, planned.gravity(self.case.image.position)
-            )
-            self._tell("unloaded shape", report)
-        with self.progress.stage("before surgery"):
-            for position in self._positions:
-                self.progress.update(0.0, position)
-                start = imaged_in(self.case, planned, position)
-                x, report = equilibrium.loaded(planned.intact, X, planned.gravity(position), start)
-                self.shapes[position, BEFORE] = x
-                self._tell(f"before surgery, {position}", report)
-                self._write_shape(planned, planned.intact, X, (position, BEFORE), (0, 0.0), {})
-        cycle = self._cycle(planned, X, equilibrium)
-        for note in thin_fronts_of(self.case, cycle):
-            self.folder.note(note)
-        with self.progress.stage("surgery"):
-            state = cycle.start()
-            self._visit(planned, cycle, state, FRESH)
-            self._record(planned, cycle, state)
-        return planned, cycle, state
+        return model
 
-    def _cycle(self, planned: Plan, X: np.ndarray, equilibrium: Equilibrium) -> HealingCycle:
-        network = network_of(self.case.healing.mechanosensing)
-        return healing_cycle(self.case, planned, X, self.shapes[self._home, BEFORE], equilibrium, network)
+    def volumes(self) -> dict[str, Volume]:
+        """Return the label map from which the mesh is made, and the image reduced for display in a report."""
+        assert self.anatomy is not None
+        volumes = {"labels": self.anatomy.labels}
+        if self.anatomy.image is not None:
+            volumes["picture"], note = picture(self.anatomy.image)
+            self.notes += [note] if note else []
+        return volumes
 
-    def _equilibrium(self) -> Equilibrium:
-        return equilibrium_of(self.case, lambda words: self.progress.update(None, words))
+    def found(self) -> dict[str, Any]:
+        """Return the centre and radius of the resection, and the position of a section along its normal."""
+        centre, radius = self.model.centre_mm, self.model.radius_mm
+        return {"resection_centre_mm": centre, "radius_in_body_mm": radius, "slice_mm": self.model.slice_mm}
 
-    @property
-    def _home(self) -> str:
-        return self.case.coupling.healing_position
+    def first_figures(self) -> dict[str, Drawing]:
+        """Return the function that draws image, tissue and mesh."""
+        return {"section": lambda: first_figure(self.model, self.anatomy)}
 
-    @property
-    def _positions(self) -> list[str]:
-        """Positions to solve for, the healing position first."""
-        return list(dict.fromkeys([self._home, *self.case.outcome.positions]))
+    def start(self) -> BreastState:
+        """Compute the unloaded shape; return the state before surgery, with the shape under gravity in every patient position."""
+        case, model, shapes = self.case, self.model, {}
+        with self.context.progress.stage("unload"):
+            X, report = self.equilibrium.unloaded(model.intact, model.x_imaged, model.gravity(case.image.position))
+            self._note_solve("unloaded shape", report)
+        with self.context.progress.stage("before surgery"):
+            for position in self.positions:
+                self.context.progress.update(0.0, position)
+                start = imaged_in(case, model, position)
+                x, report = self.equilibrium.loaded(model.intact, X, model.gravity(position), start)
+                self._note_solve(f"before surgery, {position}", report)
+                shapes[position, BEFORE] = x
+        self.cycle = self._cycle(X, shapes[self.home, BEFORE])
+        self.notes += self.cycle.healing.notes
+        return BreastState(None, shapes, tuple(shapes), self.equilibrium.state_arrays())
 
-    def _tell(self, what: str, report: NewtonReport) -> None:
-        """Note a solve that needed more than a plain Newton run."""
+    def _cycle(self, X: np.ndarray, x_intact: np.ndarray) -> HealingCycle:
+        return healing_cycle(self.case, self.model, X, x_intact, self.equilibrium)
+
+    def _note_solve(self, what: str, report: NewtonReport) -> None:
+        """Add a note if an equilibrium solve, described by ``what``, did not converge in its first Newton run."""
         if len(report.history) > 1:
-            self.folder.note(f"{what}: {report.iterations} iterations; " + "; ".join(report.history))
+            self.notes.append(f"{what}: {report.iterations} iterations; " + "; ".join(report.history))
 
-    def _record(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> None:
-        """Write what a cycle gave: visits, row, fields, checkpoint, in this order."""
-        for weeks, at in visit_cycles(self.case).items():
-            if at == state.cycle:
-                self._visit(planned, cycle, state, visit_name(weeks))
-        centre = wound_centre(cycle.automaton.open0)
-        self.fronts.append(middle_layer(cycle.open_sites(state.healing), centre))
-        self.rows.append(history_row(cycle, state))
-        self.folder.record(self.rows[-1])
-        space = planned.intact.frame.space
-        self.folder.write_fields(
-            "body",
-            state.cycle,
-            cycle.days(state.cycle),
-            cycle.X[: space.n_shape_nodes],
-            space.shape_nodes,
-            {"displacement": (state.x - cycle.X)[: space.n_shape_nodes]},
-            {
-                "strain_energy_density_kPa": mean_energy(cycle.body(state), cycle.X, state.x),
-                "cavity": planned.cavity.astype(np.int32),
-                **cycle.shown(state),
-            },
-        )
-        self.folder.save_checkpoint(state.cycle, self._arrays(planned, cycle, state), self._scalars(state))
+    def march(self, state: BreastState) -> Iterator[BreastState]:
+        """Yield the state after surgery and after every cycle of healing, with the loaded shapes if a visit is due."""
+        self.equilibrium.restore(self.model.intact.discretization, state.factor)
+        if state.tissue is None:
+            with self.context.progress.stage("surgery"):
+                state = self._after(state, self.cycle.start(), [FRESH])
+            yield state
+        for tissue in run(self.cycle, state.tissue, last_cycle(self.case)):
+            state = self._after(state, tissue, [])
+            yield state
 
-    def _visit(self, planned: Plan, cycle: HealingCycle, state: TissueState, moment: str) -> None:
-        """Solve for the shape in every position."""
-        body, when = cycle.body(state), (state.cycle, cycle.days(state.cycle))
-        for position in self._positions:
-            self.shapes[position, moment] = self._shape(planned, cycle, state, moment, position)
-            self._write_shape(planned, body, cycle.X, (position, moment), when, cycle.shown(state))
+    def _after(self, before: BreastState, tissue: TissueState, moments: list[str]) -> BreastState:
+        """Return the state after a cycle, with the loaded shapes of the given moments and of visits in this cycle."""
+        shapes = dict(before.shapes)
+        visits = [visit_name(weeks) for weeks, at in visit_cycles(self.case).items() if at == tissue.cycle]
+        for moment in [*moments, *visits]:
+            shapes |= self._visit(shapes, tissue, moment)
+        new = tuple((position, moment) for moment in [*moments, *visits] for position in self.positions)
+        front = middle_layer(self.cycle.open_sites(tissue), wound_centre(self.cycle.ruler.open0))
+        rows = (*before.rows, history_row(self.cycle, tissue))
+        return BreastState(tissue, shapes, new, self.equilibrium.state_arrays(), (*before.fronts, front), rows)
 
-    def _shape(self, planned: Plan, cycle: HealingCycle, state: TissueState, moment: str, position: str) -> np.ndarray:
-        if position == self._home:
-            return state.x
-        body = cycle.body(state)
-        start = cycle.extension.fill(self.shapes[position, BEFORE], body.fraction)
-        x, report = cycle.equilibrium.loaded(body, cycle.X, planned.gravity(position), start)
-        self._tell(f"{moment}, {position}", report)
-        return cycle.extension.fill(x, body.fraction)
+    def _visit(self, shapes: Shapes, tissue: TissueState, moment: str) -> dict[Which, np.ndarray]:
+        """Solve for the loaded shape in every patient position."""
+        return {(position, moment): self._shape(shapes, tissue, moment, position) for position in self.positions}
 
-    def _write_shape(
-        self,
-        planned: Plan,
-        body: Body,
-        X: np.ndarray,
-        which: tuple[str, str],
-        when: tuple[int, float],
-        shown: dict[str, np.ndarray],
-    ) -> None:
-        """Write a loaded shape; what it moved by since before surgery, per element what is ``shown`` and the energy."""
-        position, moment = which
-        x, before = self.shapes[which], self.shapes[position, BEFORE]
-        space = planned.intact.frame.space
-        self.folder.write_fields(
-            f"before-{position}" if moment == BEFORE else position,
-            *when,
-            x[: space.n_shape_nodes],
-            space.shape_nodes,
-            {"displacement": (x - before)[: space.n_shape_nodes]},
-            {
-                "filled_fraction": np.ones(space.n_elements),
-                "strain_energy_density_kPa": mean_energy(body, X, x),
-                "cavity": planned.cavity.astype(np.int32),
-                **shown,
-            },
-            folder="shapes",
-        )
+    def _shape(self, shapes: Shapes, tissue: TissueState, moment: str, position: str) -> np.ndarray:
+        if position == self.home:
+            return tissue.x
+        body = self.cycle.body(tissue)
+        start = self.cycle.extension.fill(shapes[position, BEFORE], body.fraction)
+        x, report = self.equilibrium.loaded(body, self.cycle.X, self.model.gravity(position), start)
+        self._note_solve(f"{moment}, {position}", report)
+        return self.cycle.extension.fill(x, body.fraction)
 
-    def _arrays(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> dict[str, np.ndarray]:
-        arrays = {f"plan.{name}": array for name, array in planned.arrays().items()}
-        arrays |= {f"shape.{position}.{moment}": x for (position, moment), x in self.shapes.items()}
-        arrays |= {f"factor.{name}": array for name, array in cycle.equilibrium.kept().items()}
-        arrays |= {"X": cycle.X, "x": state.x, "natural": state.natural, "filled": state.filled}
-        if state.course is not None:
-            arrays |= {f"course.{name}": array for name, array in course_arrays(state.course).items()}
-        arrays |= {"occupancy": state.healing.occupancy, "fronts": np.packbits(np.array(self.fronts), axis=-1)}
-        return arrays
+    def rows(self, state: BreastState) -> tuple[Row, ...]:
+        """Return the history row of the latest cycle; none before surgery."""
+        return state.rows[-1:]
 
-    def _scalars(self, state: TissueState) -> dict:
-        healing = state.healing
-        return {
-            "rows": [{k: None if v != v else v for k, v in row.items()} for row in self.rows],
-            "W_ref": state.W_ref,
-            "newton_iterations": state.newton_iterations,
-            "closure_days": state.closure_days,
-            "course": None if state.course is None else course_scalars(state.course),
-            "healing": [
-                healing.step,
-                healing.n_edge_divisions,
-                healing.n_layer_divisions,
-                healing.n_dropped,
-                healing.n_clamped,
-            ],
+    def is_mark(self, state: BreastState) -> bool:
+        """Return whether the state is after surgery."""
+        return state.tissue is not None
+
+    def fields(self, state: BreastState) -> Iterator[Fields]:
+        """Yield the loaded shapes computed for this state and, after surgery, the body in its unloaded shape."""
+        yield from self._shapes(state.tissue, state.shapes, state.new)
+        if state.tissue is None:
+            return
+        tissue, cycle, space = state.tissue, self.cycle, self.model.intact.discretization.space
+        cells = {
+            "strain_energy_density_kPa": mean_energy(cycle.body(tissue), cycle.X, tissue.x),
+            "cavity": self.model.cavity.astype(np.int32),
+            **cycle.shown(tissue),
         }
+        points, displacement = (values[: space.n_geometric_nodes] for values in (cycle.X, tissue.x - cycle.X))
+        days = cycle.days(tissue.cycle)
+        yield Fields("body", tissue.cycle, days, points, space.geometric_nodes, {"displacement": displacement}, cells)
 
-    def _resume(self, kept: Checkpoint) -> tuple[Plan, HealingCycle, TissueState]:
-        arrays, scalars = kept.arrays, kept.scalars
-        planned = plan_from_arrays(self.case, _part(arrays, "plan."))
-        self.shapes = {tuple(name.split(".", 1)): x for name, x in _part(arrays, "shape.").items()}
-        X = arrays["X"]
-        equilibrium = self._equilibrium()
-        equilibrium.restore(planned.intact.frame, _part(arrays, "factor."))
-        cycle = self._cycle(planned, X, equilibrium)
-        width = cycle.automaton.lattice.shape[-1]
-        self.fronts = list(np.unpackbits(arrays["fronts"], axis=-1, count=width).astype(bool))
-        self.rows = [{k: np.nan if v is None else v for k, v in row.items()} for row in scalars["rows"]]
-        healing = AutomatonState(arrays["occupancy"].astype(bool), *scalars["healing"])
-        state = TissueState(
-            kept.cycle,
-            healing,
-            arrays["filled"],
-            arrays["natural"],
-            arrays["x"],
-            scalars["newton_iterations"],
-            scalars["W_ref"],
-            scalars["closure_days"],
-            scalars["course"] and course_from(_part(arrays, "course."), scalars["course"]),
-        )
-        return planned, cycle, state
+    def _shapes(self, tissue: TissueState | None, shapes: Shapes, which: tuple[Which, ...]) -> Iterator[Fields]:
+        """Return loaded shapes with displacement since before surgery, strain energy density, and fields of the healing model."""
+        if not which:
+            return
+        body = self.model.intact if tissue is None else self.cycle.body(tissue)
+        shown = {} if tissue is None else self.cycle.shown(tissue)
+        for position, moment in which:
+            name = f"before-{position}" if moment == BEFORE else position
+            x, before = shapes[position, moment], shapes[position, BEFORE]
+            number = 0 if tissue is None else tissue.cycle
+            yield self._loaded(name, number, body, x, x - before, shown)
 
-    def _finish(self, planned: Plan, cycle: HealingCycle, state: TissueState) -> None:
-        """Shapes at the end, visits that came after closure, numbers and pictures."""
-        self._visit(planned, cycle, state, HEALED)
+    def _loaded(
+        self, name: str, number: int, body: Body, x: np.ndarray, moved: np.ndarray, shown: Mapping[str, np.ndarray]
+    ) -> Fields:
+        space = self.model.intact.discretization.space
+        cells = {
+            "filled_fraction": np.ones(space.n_elements),
+            "strain_energy_density_kPa": mean_energy(body, self.cycle.X, x),
+            "cavity": self.model.cavity.astype(np.int32),
+            **shown,
+        }
+        n, days = space.n_geometric_nodes, self.cycle.days(number)
+        return Fields(name, number, days, x[:n], space.geometric_nodes, {"displacement": moved[:n]}, cells, "shapes")
+
+    def pack(self, state: BreastState) -> Packed:
+        """Return model, shapes, fronts, rows, tissue, and the factor that the next solve starts from."""
+        assert state.tissue is not None
+        arrays, scalars = self.cycle.pack(state.tissue)
+        shapes = {f"{position}.{moment}": x for (position, moment), x in state.shapes.items()}
+        packed = prefixed("model", self.model.arrays()) | prefixed("shape", shapes) | prefixed("factor", state.factor)
+        packed |= prefixed("state", arrays)
+        rows = [{k: None if v != v else v for k, v in row.items()} for row in state.rows]
+        packed |= {"X": self.cycle.X, "fronts": np.packbits(np.array(state.fronts), axis=-1)}
+        return packed, {"rows": rows, "shapes": [list(which) for which in state.shapes], "state": scalars}
+
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> BreastState:
+        """Return the state in a checkpoint."""
+        stored = part("shape", arrays)
+        shapes = {(position, moment): stored[f"{position}.{moment}"] for position, moment in scalars["shapes"]}
+        self.cycle = self._cycle(arrays["X"], shapes[self.home, BEFORE])
+        width = self.cycle.ruler.lattice.shape[-1]
+        fronts = tuple(np.unpackbits(arrays["fronts"], axis=-1, count=width).astype(bool))
+        rows = tuple({k: np.nan if v is None else v for k, v in row.items()} for row in scalars["rows"])
+        tissue = self.cycle.unpack(part("state", arrays), scalars["state"])
+        return BreastState(tissue, shapes, (), part("factor", arrays), fronts, rows)
+
+    def done(self, state: BreastState) -> tuple[float, str]:
+        """Return the fraction of the wound that is closed, and the day."""
+        return state.rows[-1]["closed_fraction"], f"day {state.rows[-1]['time_days']:.0f}"
+
+    def analyse(self, state: BreastState) -> Shapes:
+        """Return all loaded shapes; visits after closure have the healed shape, which no longer changes."""
+        assert state.tissue is not None
+        tissue = state.tissue
+        with self.context.progress.stage("healed shape"):
+            shapes = {**state.shapes, **self._visit(state.shapes, tissue, HEALED)}
         for weeks, at in visit_cycles(self.case).items():
-            if state.is_closed and at > state.cycle:
-                for position in self._positions:
-                    self.shapes[position, visit_name(weeks)] = self.shapes[position, HEALED]
+            if tissue.is_closed and at > tissue.cycle:
+                shapes |= {(position, visit_name(weeks)): shapes[position, HEALED] for position in self.positions}
+        return shapes
+
+    def last_fields(self, end: End[BreastState]) -> Iterator[Fields]:
+        """Return the healed shapes."""
+        yield from self._shapes(end.state.tissue, end.analysis, tuple((p, HEALED) for p in self.positions))
+
+    def outcome(self, end: End[BreastState]) -> dict[str, Quantity]:
+        """Return closure, and how the shape changed in every position at every visit."""
+        asked = self.case.outcome.positions
         changes = {
-            (position, moment): planned.change(self.shapes[position, BEFORE], x)
-            for (position, moment), x in self.shapes.items()
-            if moment != BEFORE and position in self.case.outcome.positions
+            (position, moment): self.model.change(end.analysis[position, BEFORE], x)
+            for (position, moment), x in end.analysis.items()
+            if moment != BEFORE and position in asked
         }
-        main = self._home if self._home in self.case.outcome.positions else self.case.outcome.positions[0]
-        numbers = closure_numbers(cycle, state, self.rows) | outcome_numbers(changes, (main, HEALED))
-        self.folder.write_outcome({name: Quantity(n.value, n.unit, n.note) for name, n in numbers.items()})
-        if isinstance(planned, SolidPlan):
-            self._write_surfaces(planned)
-        for name, figure in last_figures(self.case, planned, cycle, state, self.shapes, self.fronts, self.rows):
-            self.folder.save_figure(name, figure)
+        main = self.home if self.home in asked else asked[0]
+        closure = closure_numbers(self.cycle, end.state.tissue, list(end.state.rows))
+        return closure | outcome_numbers(changes, (main, HEALED))
 
-    def _write_surfaces(self, planned: SolidPlan) -> None:
-        """The outer surface before surgery and healed, in each position."""
+    def surfaces(self, end: End[BreastState]) -> dict[str, SurfaceData]:
+        """Return the outer surface of a solid before surgery and healed, in each position."""
+        if not isinstance(self.model, SolidModel):
+            return {}
+        surfaces = {}
         for position in self.case.outcome.positions:
-            before = self.shapes[position, BEFORE]
+            before = end.analysis[position, BEFORE]
             for moment in (BEFORE, HEALED):
-                x = self.shapes[position, moment]
-                data = {"displacement": x - before, "retraction_mm": planned.retraction(before, x)}
-                self.folder.write_surface(f"{position}-{moment}", x, planned.space.boundary, data)
+                x = end.analysis[position, moment]
+                data = {"displacement": x - before, "retraction_mm": self.model.retraction(before, x)}
+                surfaces[f"{position}-{moment}"] = SurfaceData(x, self.model.space.boundary, data)
+        return surfaces
 
+    def figures(self, end: End[BreastState]) -> dict[str, Drawing]:
+        """Return the functions that draw closure, outlines or surfaces, and strain energy."""
+        state = end.state
+        fronts, rows = list(state.fronts), list(state.rows)
+        return last_figures(self.case, self.model, self.cycle, state.tissue, end.analysis, fronts, rows)
 
-def _part(arrays: dict[str, np.ndarray], prefix: str) -> dict[str, np.ndarray]:
-    return {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
+    def sentence(self, end: End[BreastState]) -> str:
+        """Return a sentence on when the wound closed."""
+        return closing_sentence(self.cycle, end.state.tissue)

@@ -1,4 +1,4 @@
-"""A plane section of the breast: cut, meshed, and filled with tissue."""
+"""Model of a plane section of the breast: cut, meshed, and filled with tissue."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ import skfem
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ...core.errors import InputError
-from ...coupling.cycle import Tissue
+from ...coupling.cavity import Tissue
 from ...geometry.labels import Label
 from ...geometry.meshing import component_at, interpolant, label_borders, mesh_section, signed_distance
 from ...geometry.section import Raster, Section
 from ...geometry.volume import Volume
-from ...mechanics.body import Frame
+from ...mechanics.body import Discretization
 from ...mechanics.space import Space
 from ...outcome.change import ShapeChange
 from ...outcome.shape import compare
 from .body import (
-    LEAST_SKIN_FLAP_MM,
+    MIN_SKIN_FLAP_MM,
     Anatomy,
-    Plan,
+    BreastModel,
     check_flap,
     intact_body,
     nipple_of,
@@ -36,15 +36,15 @@ from .case import LumpectomyCase
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SectionPlan(Plan):
-    """A section, its mesh and the body in it.
+class SectionModel(BreastModel):
+    """Model of a plane section of the breast.
 
     Parameters
     ----------
     section : Section
-        Where she is cut.
+        Plane of the section.
     mesh : skfem.MeshTri
-        With the subdomain "cavity" and the boundaries "skin" and "wall".
+        Mesh with the subdomain "cavity" and the boundaries "skin" and "wall".
     """
 
     section: Section
@@ -52,27 +52,27 @@ class SectionPlan(Plan):
 
     @property
     def slice_mm(self) -> float:
-        """Where it lies along its normal, LPS [mm]."""
+        """Position of the section along its normal, LPS [mm]."""
         return float(self.section.position_mm)
 
     def from_patient(self, vectors: np.ndarray) -> np.ndarray:
-        """LPS components in the section's axes: (..., 3) -> (..., 3)."""
+        """Convert LPS components to the section's axes: (..., 3) -> (..., 3)."""
         return self.section.from_patient(vectors)
 
     def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
-        """Compare the outlines of loaded shapes (n_nodes, 3) [mm]."""
+        """Measure the change of the outline between two loaded shapes (n_nodes, 3) [mm]."""
         rows = self.outline
         return compare(before[rows], after[rows], self.on_skin, self.nipple)
 
     def margin_mm(self, anatomy: Anatomy) -> float:
-        """Least distance from the labelled tumour to the edge of the resection's disc in this section [mm]."""
+        """Compute the smallest distance from the labelled tumour to the edge of the resection's disc in this section [mm]."""
         raster = self.section.raster(anatomy.labels, min(anatomy.labels.spacing_mm))
         tumour = anatomy.labels.nearest(self.section.to_patient(raster.points)) == Label.TUMOUR
         away = np.linalg.norm(raster.points[tumour] - self.section.from_patient(self.centre_mm)[:2], axis=-1)
         return float(self.radius_mm - np.max(away, initial=-np.inf))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What ``section_from_arrays`` needs to make the same plan again."""
+        """Return the arrays from which ``section_from_arrays`` builds the same model again."""
         mesh = self.mesh
         return self.tissue_arrays() | {
             "points": mesh.p,
@@ -92,28 +92,28 @@ class SectionPlan(Plan):
     @cached_property
     def outline(self) -> np.ndarray:
         """Nodes around the section in order, vertices and midpoints (n,)."""
-        return _ordered_outline(self.intact.frame.space)
+        return _ordered_outline(self.intact.discretization.space)
 
     @cached_property
     def on_skin(self) -> np.ndarray:
-        """Which outline nodes lie on the skin (n,) bool."""
-        return np.isin(self.outline, self.intact.frame.skin_nodes)
+        """Whether each node of ``outline`` lies on the skin (n,) bool."""
+        return np.isin(self.outline, self.intact.discretization.skin_nodes)
 
     @cached_property
     def nipple(self) -> int:
-        """Row of ``outline`` that is taken for the nipple."""
+        """Index into ``outline`` of the node that represents the nipple."""
         rows = np.flatnonzero(self.on_skin)
         skin = self.x_imaged[self.outline[rows], :2]
         return int(rows[self.nipple_among(self.section.to_patient(skin))])
 
 
-def plan_section(case: LumpectomyCase, anatomy: Anatomy) -> SectionPlan:
+def section_model(case: LumpectomyCase, anatomy: Anatomy) -> SectionModel:
     """Cut the section, mesh it with the cavity's border on element edges, and fill it with tissue.
 
     Raises
     ------
     InputError
-        If the section holds no breast, no chest wall, or the resection does not lie inside it.
+        If the section has no breast or no chest wall, or the resection does not lie inside the breast.
     """
     centre = resection_of(case, anatomy)
     normal = Section(case.image.plane, 0.0).axes[2]
@@ -139,8 +139,8 @@ def plan_section(case: LumpectomyCase, anatomy: Anatomy) -> SectionPlan:
     return _filled(case, section, mesh, tissue_at(case.tissue, anatomy, points), centre, radius)
 
 
-def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SectionPlan:
-    """Make the plan of a stopped run again, to the bit, without the image."""
+def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SectionModel:
+    """Rebuild the breast model of an interrupted run from its stored arrays, bitwise identical, without reading the image."""
     mesh = skfem.MeshTri(arrays["points"], arrays["triangles"]).with_subdomains({"cavity": arrays["cavity"]})
     mesh = mesh.with_boundaries({name: arrays[name] for name in ("skin", "wall")})
     section = Section(case.image.plane, float(arrays["section_mm"]))
@@ -167,9 +167,9 @@ def _breast(anatomy: Anatomy, section: Section, raster: Raster, centre: np.ndarr
 
 
 def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float, edge_mm: float):
-    """Signed distance of the cavity: the disc, kept below a flap of skin.
+    """Return the signed distance to the cavity: the disc, except the layer below the skin that surgery preserves.
 
-    The mesh makes a polygon of it; its corners lie on a circle so much larger that the polygon has the disc's area.
+    The mesh approximates the disc by a polygon. Its corners lie on a slightly larger circle, so that it has the area of the disc.
     """
     depth = -float(interpolant(body, raster)(centre[None])[0])
     widest = float(-body.min())
@@ -180,11 +180,11 @@ def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float,
         )
     check_flap(depth)
     distance, corners = interpolant(body, raster), radius + edge_mm**2 / (12.0 * radius)
-    return lambda p: np.maximum(np.hypot(*(p - centre).T) - corners, distance(p) + LEAST_SKIN_FLAP_MM)
+    return lambda p: np.maximum(np.hypot(*(p - centre).T) - corners, distance(p) + MIN_SKIN_FLAP_MM)
 
 
 def _is_wall(labels: Volume, section: Section, raster: Raster):
-    """Say whether points just outside the breast lie in the chest (or beyond the image) rather than in air."""
+    """Return a function of points just outside the breast: True nearer to chest than to air (or outside the image)."""
     values = labels.nearest(section.to_patient(raster.points))
     chest = np.pad(values == Label.CHEST, 1, constant_values=not (labels.values == Label.CHEST).any())
     air = np.pad(values == Label.AIR, 1, constant_values=False)
@@ -196,15 +196,15 @@ def _is_wall(labels: Volume, section: Section, raster: Raster):
 
 def _filled(
     case: LumpectomyCase, section: Section, mesh: skfem.MeshTri, tissue: Tissue, centre: np.ndarray, radius: float
-) -> SectionPlan:
-    """Join mesh and tissue to the intact body."""
+) -> SectionModel:
+    """Build the model from mesh and tissue."""
     wall = mesh.boundaries["wall"]
     if not len(wall):
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
     space = Space(mesh)
-    frame = Frame(space, mesh.boundaries["skin"], np.unique(space.facet_nodes(wall)))
-    return SectionPlan(
-        intact=intact_body(case, frame, tissue),
+    discretization = Discretization(space, mesh.boundaries["skin"], np.unique(space.facet_nodes(wall)))
+    return SectionModel(
+        intact=intact_body(case, discretization, tissue),
         tissue=tissue,
         scar=scar_of(case),
         cavity=np.isin(np.arange(mesh.nelements), mesh.subdomains["cavity"]),
@@ -217,7 +217,7 @@ def _filled(
 
 
 def _ordered_outline(space: Space) -> np.ndarray:
-    """Boundary nodes of the section in order around it (n,): vertex, midpoint, vertex, ..."""
+    """Return the boundary nodes of the section in order around it (n,): vertex, midpoint, vertex, ..."""
     edges = space.facet_nodes(space.mesh.boundary_facets())
     following: dict[int, list[tuple[int, int]]] = {}
     for a, b, middle in edges.tolist():

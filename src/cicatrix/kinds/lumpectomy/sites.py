@@ -1,4 +1,4 @@
-"""How many sites a lattice over the cavity takes, and whether they fit into memory."""
+"""Number of sites of a lattice on the cavity, and whether they fit into memory."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from ...core.units import mm_from_um
 from ...geometry.hexgrid import Lattice
 from ...healing.rules import AutomatonRules
 
-MOST_SITES = 30_000_000  # of a solid: a run on so many takes about 1.5 GB for them alone
-FEWER = 0.9  # of them, when a coarser pitch is proposed
+MAX_SOLID_SITES = 30_000_000  # largest lattice of a solid; its sites alone take about 1.5 GB
+FEWER = 0.9  # fraction of MAX_SOLID_SITES that a proposed coarser pitch fills
 
 
 def box_around(points: np.ndarray, rules: AutomatonRules, pitch_um: float) -> np.ndarray:
-    """Box (2, n_axes) [mm] that holds the cavity's points (n, n_axes) [mm], its active layer and what may move there."""
+    """Return the box (2, n_axes) [mm] around the cavity's points (n, n_axes) [mm], its active layer and a margin for motion."""
     margin = (rules.layer_sites + 3 * rules.motility_substeps + 4) * mm_from_um(pitch_um)
     return np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])
 
 
 def too_many(lattice: Lattice, pitch_um: float) -> str:
-    """Say of the key ``healing.pitch_um`` why a solid's lattice does not fit and which pitch would; empty if it does."""
-    if lattice.ndim == 2 or lattice.n_sites <= MOST_SITES:
+    """Return an error if a solid's lattice does not fit into memory, to follow the key ``healing.pitch_um``; empty if it fits."""
+    if lattice.ndim == 2 or lattice.n_sites <= MAX_SOLID_SITES:
         return ""
-    fits = pitch_um * np.cbrt(lattice.n_sites / (FEWER * MOST_SITES))
+    fits = pitch_um * np.cbrt(lattice.n_sites / (FEWER * MAX_SOLID_SITES))
     return (
-        f"puts {lattice.n_sites:.2g} sites over the cavity, and {MOST_SITES:.1g} fit into memory: "
+        f"puts {lattice.n_sites:.2g} sites over the cavity, and {MAX_SOLID_SITES:.1g} fit into memory: "
         f"take at least {5 * np.ceil(fits / 5):.0f}; got {pitch_um:g}"
     )

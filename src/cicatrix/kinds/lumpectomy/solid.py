@@ -1,4 +1,4 @@
-"""The breast as a solid: meshed in tetrahedra, and filled with tissue."""
+"""Model of the whole breast: a tetrahedral mesh with the tissue at its quadrature points."""
 
 from __future__ import annotations
 
@@ -9,22 +9,22 @@ from functools import cached_property
 import numpy as np
 
 from ...core.errors import InputError
-from ...coupling.cycle import Tissue
+from ...coupling.cavity import Tissue
 from ...geometry.isosurface import LEVEL, Isosurface, isosurface, segmented_body
 from ...geometry.labels import Label
 from ...geometry.meshing import Function
-from ...geometry.meshing3d import LEAST_SMOOTHING, BodyMesh, Border, Region, mesh_body
+from ...geometry.meshing3d import MIN_SMOOTHING, BodyMesh, Border, Region, mesh_body
 from ...geometry.surface import Surface
 from ...geometry.tetrahedra import with_middles
 from ...geometry.transfer import QUARTERS
-from ...mechanics.body import Frame
+from ...mechanics.body import Discretization
 from ...mechanics.space import SolidSpace
 from ...outcome.change import ShapeChange
 from ...outcome.surface import compare_surfaces
 from .body import (
-    LEAST_SKIN_FLAP_MM,
+    MIN_SKIN_FLAP_MM,
     Anatomy,
-    Plan,
+    BreastModel,
     check_flap,
     intact_body,
     nipple_of,
@@ -37,13 +37,13 @@ from .case import LumpectomyCase
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SolidPlan(Plan):
-    """A breast of tetrahedra, in LPS axes.
+class SolidModel(BreastModel):
+    """Model of the whole breast in tetrahedra, in LPS axes.
 
     Parameters
     ----------
     corners : (n_corners, 3) array [mm]
-        Corners of the elements as imaged; they are the first of the nodes.
+        Corners of the elements as imaged; they are the first of the body's nodes.
     border : (n_faces,) uint8 array
         `Border` of each face of the boundary.
     """
@@ -54,7 +54,7 @@ class SolidPlan(Plan):
     @property
     def space(self) -> SolidSpace:
         """Nodes and elements."""
-        space = self.intact.frame.space
+        space = self.intact.discretization.space
         assert isinstance(space, SolidSpace)
         return space
 
@@ -65,7 +65,7 @@ class SolidPlan(Plan):
 
     @cached_property
     def on_skin(self) -> np.ndarray:
-        """Which of ``triangles`` are skin (4 n_faces,) bool."""
+        """Whether each of ``triangles`` is skin (4 n_faces,) bool."""
         return np.repeat(self.border == Border.SKIN, len(QUARTERS))
 
     @cached_property
@@ -76,33 +76,36 @@ class SolidPlan(Plan):
 
     @cached_property
     def nipple(self) -> int:
-        """Node that is taken for the nipple."""
+        """Node that represents the nipple."""
         skin = np.unique(self.triangles[self.on_skin])
         return int(skin[self.nipple_among(self.x_imaged[skin])])
 
     def from_patient(self, vectors: np.ndarray) -> np.ndarray:
-        """LPS components: they are the solid's own."""
+        """Return LPS components unchanged: they are the components in the solid's axes."""
         return np.asarray(vectors, float)
 
     def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
-        """Compare the surfaces of loaded shapes (n_nodes, 3) [mm]."""
+        """Measure the change of the surface between two loaded shapes (n_nodes, 3) [mm]."""
         return compare_surfaces(before, after, self.triangles, self.on_skin, self.nipple)
 
     def retraction(self, before: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """How far inside the surface of a loaded shape another one's lies: (n_nodes, 3) [mm] -> (n_nodes,) [mm]; 0 within."""
+        """Return the depth of the surface of shape ``after`` below that of ``before``: (n_nodes, 3) [mm] -> (n_nodes,) [mm].
+
+        It is negative where the surface lies outside, and 0 at nodes inside the body.
+        """
         out = np.zeros(len(before))
         outer = np.unique(self.triangles)
         out[outer] = Surface(before, self.triangles).inward(after[outer])
         return out
 
     def margin_mm(self, anatomy: Anatomy) -> float:
-        """Least distance from the labelled tumour to the edge of the resection's ball [mm]; inf without tumour."""
+        """Compute the smallest distance from the labelled tumour to the edge of the resection's ball [mm]; inf without tumour."""
         tumour = anatomy.labels.position(np.argwhere(anatomy.labels.values == Label.TUMOUR))
         away = np.linalg.norm(tumour - self.centre_mm, axis=-1)
         return float(self.radius_mm - np.max(away, initial=-np.inf))
 
     def arrays(self) -> dict[str, np.ndarray]:
-        """What ``solid_from_arrays`` needs to make the same plan again."""
+        """Return the arrays from which ``solid_from_arrays`` builds the same model again."""
         return self.tissue_arrays() | {
             "corners": self.corners,
             "tetrahedra": self.space.element_nodes[:, :4],
@@ -111,18 +114,18 @@ class SolidPlan(Plan):
         }
 
 
-def plan_solid(case: LumpectomyCase, anatomy: Anatomy) -> SolidPlan:
+def solid_model(case: LumpectomyCase, anatomy: Anatomy) -> SolidModel:
     """Mesh the breast with the cavity's border on faces of elements, and fill it with tissue.
 
     Raises
     ------
     InputError
-        If there is no breast, nothing holds it, it has no good mesh, or the resection does not lie inside it.
+        If there is no breast, it touches no chest wall, meshing fails, or the resection does not lie inside the breast.
     """
     centre, radius = resection_of(case, anatomy), case.resection.radius_mm
     edge = case.mesh.edge_mm
     body = segmented_body(anatomy.labels, anatomy.breast, finest_mm=edge / 6, thin_mm=2 / 3 * edge).share
-    surface = isosurface(body, LEAST_SMOOTHING * np.asarray(body.spacing_mm))
+    surface = isosurface(body, MIN_SMOOTHING * np.asarray(body.spacing_mm))
     mesh = mesh_body(
         anatomy.labels,
         edge,
@@ -136,8 +139,8 @@ def plan_solid(case: LumpectomyCase, anatomy: Anatomy) -> SolidPlan:
     return _filled(case, mesh.nodes, space, is_cavity, mesh.marker, tissue, centre, radius, _notes(mesh))
 
 
-def solid_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SolidPlan:
-    """Make the plan of a stopped run again, to the bit, without the image."""
+def solid_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SolidModel:
+    """Rebuild the breast model of an interrupted run from its stored arrays, bitwise identical, without reading the image."""
     corners = arrays["corners"]
     space = SolidSpace(*with_middles(corners, arrays["tetrahedra"]))
     tissue = Tissue(arrays["mu"], arrays["kappa"], arrays["density"])
@@ -146,12 +149,12 @@ def solid_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) ->
 
 
 def _cavity(surface: Isosurface, centre: np.ndarray, radius: float) -> Function:
-    """Signed distance of the cavity: the ball, kept below a flap of skin.
+    """Return the signed distance to the cavity: the ball, except the layer below the skin that surgery preserves.
 
     Raises
     ------
     InputError
-        If its centre does not lie inside the breast, or no ball of its radius fits there.
+        If the centre does not lie inside the breast, or no ball of this radius fits into the breast.
     """
     depth = -float(surface.distance(centre[None])[0])
     if depth <= 0:
@@ -166,13 +169,13 @@ def _cavity(surface: Isosurface, centre: np.ndarray, radius: float) -> Function:
             f"resection.radius_mm must be smaller than the breast, where the largest ball has a radius of "
             f"{widest:.1f} mm; got {radius:.1f}."
         )
-    reach = radius + LEAST_SKIN_FLAP_MM
+    reach = radius + MIN_SKIN_FLAP_MM
 
     def cavity(points: np.ndarray) -> np.ndarray:
         ball = np.linalg.norm(points - centre, axis=1) - radius
         near = ball < reach
         out = ball.copy()
-        out[near] = np.maximum(ball[near], surface.distance(points[near], reach) + LEAST_SKIN_FLAP_MM)
+        out[near] = np.maximum(ball[near], surface.distance(points[near], reach) + MIN_SKIN_FLAP_MM)
         return out
 
     return cavity
@@ -197,12 +200,12 @@ def _filled(
     centre: np.ndarray,
     radius: float,
     notes: tuple[str, ...] = (),
-) -> SolidPlan:
-    """Join mesh and tissue to the intact body: outer faces carry skin, or are held."""
-    held = np.unique(space.facet_nodes(np.flatnonzero(border != Border.SKIN)))
-    frame = Frame(space, np.flatnonzero(border == Border.SKIN), held)
-    return SolidPlan(
-        intact=intact_body(case, frame, tissue),
+) -> SolidModel:
+    """Build the model from mesh and tissue; faces of the surface are either skin or constrained."""
+    constrained_nodes = np.unique(space.facet_nodes(np.flatnonzero(border != Border.SKIN)))
+    discretization = Discretization(space, np.flatnonzero(border == Border.SKIN), constrained_nodes)
+    return SolidModel(
+        intact=intact_body(case, discretization, tissue),
         tissue=tissue,
         scar=scar_of(case),
         cavity=cavity,

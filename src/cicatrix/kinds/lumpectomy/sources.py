@@ -1,4 +1,4 @@
-"""Where the default numbers of a case come from, by key; the manifest of a run prints them."""
+"""Sources of the default numbers of a case, by key; the manifest of a run lists them."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ SOURCES: dict[str, str] = {
     "tissue.scar.nu": NEARLY_INCOMPRESSIBLE,
     "tissue.scar.density_kg_m3": "as gland; " + CHOSEN,
     "healing.deposition": "stress-free in the unloaded reference; Garbey et al.",
-    "healing.deposition_prestretch": "1: laid down without stretch; " + CHOSEN,
+    "healing.deposition_prestretch": "1: deposited without stretch; " + CHOSEN,
     "healing.contraction_kPa": "0: no contraction; Garbey et al.",
     "healing.pitch_um": "one cell, 10 um; Garbey et al., section 3",
     "healing.hours_per_step": "cell cycle of 10 to 20 h; Garbey et al., section 3",
@@ -39,8 +39,8 @@ SOURCES: dict[str, str] = {
     "healing.motility_substeps": "4 to 8 keep the wound near-circular; " + CHOSEN,
     "healing.redistribution": "pushing along paths keeps division local; the global level set is the paper's variant",
     "healing.feedback": "p_layer (1 + W / W_ref), Garbey et al., section 3; W_ref the mean over the fresh wound edge",
-    "healing.mechanosensing": "the elastic change of volume; docs/theory/wound.md. Of healing by fields",
-    "healing.parameters": "the set of papers/breast-cavity on this fat and scar; docs/decisions/0023. Of healing by fields",
+    "healing.mechanosensing": "continuum model: elastic change of volume; docs/theory/wound.md",
+    "healing.parameters": "continuum model: values of papers/breast-cavity with this fat and scar; docs/decisions/0023",
     "healing.time_tolerance": "a tenth of a percent of healthy densities in a step; " + CHOSEN,
     "coupling.days_per_cycle": "one mechanical solve a week; " + CHOSEN,
     "outcome.visits_weeks": "clinical visits at weeks 2, 6, 10 and 26",
@@ -56,7 +56,7 @@ def value_at(case: Table, key: str) -> Any:
 
 
 def keys(table: Table, prefix: str = "") -> Iterator[str]:
-    """Dotted keys of every value in a table and the tables below it, or of a table with one source, in the case file's order."""
+    """Yield the dotted keys of all values in a table and its subtables, in order; a table with a source of its own is one key."""
     for name in type(table).model_fields:
         value = getattr(table, name)
         if isinstance(value, Table) and prefix + name not in SOURCES:

@@ -1,4 +1,4 @@
-"""From a case of kind "material-point" to its loading, and from its history to the numbers asked for."""
+"""Build the loading of a case of kind "material-point", and integrate the work along its history."""
 
 from __future__ import annotations
 
@@ -8,21 +8,21 @@ import numpy as np
 
 from ...core.units import seconds_from_hours
 from ...mechanics.point import Control, Instant, control
-from ...mechanics.point_walk import instants
+from ...mechanics.point_integration import instants
 from .case import LoadingTable, PointCase
 
-FREE = {"incompressible": 0.0, "stress": 0.0, "strain": 1.0}  # along z: a stress, or a stretch for plane strain
+FREE = {"incompressible": 0.0, "stress": 0.0, "strain": 1.0}  # value along z: zero stress, or stretch 1 in plane strain
 
 
 def control_of(loading: LoadingTable) -> Control:
-    """Say what is prescribed along each axis, and whether the volume is."""
+    """Choose stretch or stress as the prescribed quantity along each axis, and whether the volume is constant."""
     words = {axis: quantity for axis, (quantity, _) in loading.axes().items()}
     words = {"y": "stress", "z": "stretch" if loading.thickness == "strain" else "stress"} | words
     return control(**words, incompressible=loading.thickness == "incompressible")
 
 
 def instants_of(loading: LoadingTable) -> Instant:
-    """Lay out the asked instants (n, ...)."""
+    """Return time, prescribed values and shear at all steps of the loading (n, ...)."""
     n = len(loading.time_h)
     given = {axis: values for axis, (_, values) in loading.axes().items()}
     given = {"y": (0.0,) * n, "z": (FREE.get(loading.thickness, 0.0),) * n} | given
@@ -36,13 +36,13 @@ def instants_of(loading: LoadingTable) -> Instant:
 
 
 def first_of_last_cycle(case: PointCase) -> int:
-    """Row at which the last repetition of the loading starts."""
+    """Return the row at which the last repetition of the loading starts."""
     loading = case.loading
     return (loading.repeat - 1) * (len(loading.time_h) - 1) * loading.steps_per_segment
 
 
 def work(history: Mapping[str, np.ndarray], first: int = 0) -> float:
-    r"""Work done on the point from a row on, per reference volume [kPa].
+    r"""Integrate the work done on the point per reference volume [kPa], starting at row ``first``.
 
     :math:`\int P : dF` by the trapezoidal rule over the rows, with :math:`P = J \sigma F^{-T}`.
     """

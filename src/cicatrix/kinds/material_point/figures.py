@@ -1,4 +1,4 @@
-"""Pictures of a material point: stress against stretch, and everything over time."""
+"""Figures of a material point: stress against stretch, and all quantities over time."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from matplotlib.figure import Figure
 COLOURS = {"x": "#0072b2", "y": "#d55e00", "z": "#009e73"}
 LINES = {"x": "-", "y": "-", "z": "--"}  # z is drawn over y, which it often equals
 HEAT, STORED = "#cc79a7", "#000000"
-ARROWS = 5  # along a path
+ARROWS = 5  # number of arrows along a curve
 
 
 def response_figure(history: Mapping[str, np.ndarray]) -> Figure:
-    """Cauchy stress against stretch along x and along y; open mark: start, full mark: end, arrows: the way between."""
+    """Draw Cauchy stress against stretch along x and y; the start is an open mark, the end a full one, arrows show the order."""
     sheared = np.ptp(history["shear"]) > 0.0
     figure = Figure(figsize=(15 if sheared else 10.5, 4.8), layout="constrained")
     axes = np.atleast_1d(figure.subplots(1, 3 if sheared else 2))
@@ -31,7 +31,7 @@ def response_figure(history: Mapping[str, np.ndarray]) -> Figure:
 
 
 def histories_figure(history: Mapping[str, np.ndarray], grows: bool) -> Figure:
-    """Stretch, stress, growth and energy over time; growth only where something grows."""
+    """Draw stretch, stress, growth (or volume, if nothing grows) and energy over time."""
     figure = Figure(figsize=(11, 7.2 if grows else 6.8), layout="constrained")
     axes = figure.subplots(2, 2, sharex=True).ravel()
     time = history["time_h"]
@@ -74,7 +74,7 @@ def _path(ax: Axes, x: np.ndarray, y: np.ndarray, colour: str) -> None:
 
 
 def _arrows(x: np.ndarray, y: np.ndarray) -> list[tuple[int, int]]:
-    """Rows from and to which arrows point, evenly along the path as it is drawn."""
+    """Return pairs of rows between which arrows are drawn, equally spaced along the curve as drawn."""
     spans = [max(float(np.ptp(column)), 1e-12) for column in (x, y)]
     steps = np.hypot(np.diff(x) / spans[0], np.diff(y) / spans[1])
     length = np.append(0.0, np.cumsum(steps))
@@ -86,7 +86,7 @@ def _arrows(x: np.ndarray, y: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _dress(ax: Axes) -> None:
-    """Thin lines behind, and no magnified rounding: a quantity that stays the same is a level line."""
+    """Draw a grid, and widen the limits of a constant quantity, so that round-off is not magnified."""
     ax.grid(alpha=0.3)
     for low, high, put in ((*ax.get_xlim(), ax.set_xlim), (*ax.get_ylim(), ax.set_ylim)):
         middle = 0.5 * (low + high)

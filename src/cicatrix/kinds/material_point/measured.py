@@ -1,4 +1,4 @@
-"""Measured stretches and stresses of a point: what of them is prescribed, and what a law has to meet."""
+"""Measured stretches and stresses of a specimen: which are prescribed, and which a fitted law has to reproduce."""
 
 from __future__ import annotations
 
@@ -16,30 +16,31 @@ STRESSES = {"sigma_x_kPa": (0, 0), "sigma_y_kPa": (1, 1), "sigma_z_kPa": (2, 2),
 
 
 class Experiment(NamedTuple):
-    """What was done to a specimen, and what was measured."""
+    """Prescribed loading of a specimen, and the stresses that were measured."""
 
     by: Control
+    """Which quantity is prescribed along each axis."""
     asked: Instant
-    """Stacked (n, ...)."""
+    """Times and prescribed values, stacked along the first axis (n, ...)."""
     stresses: dict[str, np.ndarray]
-    """Column -> Cauchy stress (n,) [kPa]."""
+    """Measured Cauchy stress (n,) [kPa] by column name."""
 
 
 def experiment(loading: LoadingTable, columns: Mapping[str, np.ndarray]) -> Experiment:
-    """Take stretches, and the shear where there is one, as prescribed and the stresses beside them as measured.
+    """Split the columns of a measurement into prescribed stretches (and shear) and measured stresses.
 
     Parameters
     ----------
     loading : LoadingTable
-        Of the case: what happens through the thickness. Its own corners are not used.
+        Loading of the case, of which only the condition through the thickness is used.
     columns : mapping of str to (n,) array
         ``time_h``, ``lambda_x`` [1], ``sigma_x_kPa``; ``lambda_y`` and ``sigma_y_kPa``, without which y is free of stress;
-        ``shear`` and ``sigma_xy_kPa``; ``lambda_z`` and ``sigma_z_kPa`` where the case's loading gives z. Others are left alone.
+        ``shear`` and ``sigma_xy_kPa``; ``lambda_z`` and ``sigma_z_kPa`` if the case's loading gives z. Others are ignored.
 
     Raises
     ------
     InputError
-        If a column is missing or holds what is no number, times do not ascend, or stretches are not above 0.
+        If a column is missing or has a value that is not a number, times descend, or a stretch is not above 0.
     """
     pairs = {"lambda_x": "sigma_x_kPa"}
     if "lambda_y" in columns or "sigma_y_kPa" in columns:

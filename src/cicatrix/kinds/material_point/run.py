@@ -1,106 +1,114 @@
-"""A law without a mesh: one point led through its loading, row by row."""
+"""A law without a mesh: one material point integrated through its loading, row by row."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from ...cases.laws import law_of
-from ...core.errors import ConvergenceError, InputError
+from ...core.errors import InputError
 from ...core.units import hours_from_seconds
 from ...materials.fibres import fibres_within, quadrature_error
 from ...materials.material import EnergyMaterial
-from ...mechanics.point import Control, Instant, Point, virgin
-from ...mechanics.point_walk import Mark, walk
-from ...runs.progress import Progress
-from ...runs.results import Quantity, RunFolder
+from ...mechanics.point import Instant, initial_state
+from ...mechanics.point_integration import PointProgress, integrate
+from ...runs.kind import Context, Drawing, End, Packed, Row, Simulation
+from ...runs.quantity import Quantity
+from ...runs.trees import packed_tree, unpacked_tree
 from .build import control_of, first_of_last_cycle, instants_of, work
 from .case import PointCase
 from .figures import histories_figure, response_figure
 
-CHECKPOINT_SECONDS = 10.0  # between two checkpoints; one more when the run is interrupted
-MOST_SHAPES = 16  # of a run, at which the quadrature of fibres is checked
+MAX_SHAPES = 16  # number of deformations of a run at which the quadrature of fibres is checked
 
 
-@dataclass
-class PointRun:
-    """One run; a checkpoint holds the point with the law's history, and how far the steps have adapted."""
+class PointState(NamedTuple):
+    """State of the material point at a row, and the number of steps so far whose error exceeded the tolerance."""
 
-    case: PointCase
-    folder: RunFolder
-    progress: Progress
-    n_coarse: int = 0
-    saved: float = field(default_factory=time.perf_counter)
+    progress: PointProgress
+    n_coarse: int
 
-    def go(self) -> str:
-        """Lead the point through its loading; returns the sentence that ends the run."""
-        with self.progress.stage("law"):
-            law, control, asked = law_of(self.case), control_of(self.case.loading), instants_of(self.case.loading)
-            mark = self._kept(law, asked)
-        with self.progress.stage("load"):
-            self._load(law, control, asked, mark)
-        with self.progress.stage("outcome"):
-            return self._tell()
 
-    def _load(self, law: EnergyMaterial, control: Control, asked: Instant, mark: Mark | None) -> None:
-        """Write a row per asked instant."""
-        last = len(asked.time) - 1
-        try:
-            for reached in walk(law, control, asked, self.case.solver.relative_tolerance, mark):
-                self.folder.record(_row(reached))
-                mark = reached
-                self.n_coarse += mark.n_coarse
-                if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
-                    self._save(mark)
-                self.progress.update(mark.row / last, f"{hours_from_seconds(float(mark.point.time)):.4g} h simulated")
-        except (KeyboardInterrupt, ConvergenceError):
-            if mark is not None:
-                self._save(mark)
-            raise
+class MaterialPoint(Simulation[PointState]):
+    """Integrates the law of a case of kind "material-point" in steps that adapt to its error."""
 
-    def _save(self, mark: Mark) -> None:
-        self.saved = time.perf_counter()
-        leaves = jax.tree.leaves(mark.point)
-        arrays = {f"leaf_{number}": np.asarray(leaf) for number, leaf in enumerate(leaves)}
-        scalars = {"row": mark.row, "size": mark.size, "largest": mark.largest, "n_coarse": self.n_coarse}
-        self.folder.save_checkpoint(mark.row, arrays, scalars)
+    building, marching = "law", "load"
 
-    def _kept(self, law: EnergyMaterial, asked: Instant) -> Mark | None:
-        """Where the last checkpoint stands."""
-        kept = self.folder.checkpoint
-        if kept is None:
-            return None
-        self.n_coarse = kept.scalars["n_coarse"]
-        form = jax.tree.structure(virgin(law, jax.tree.map(lambda column: column[0], asked)))
-        leaves = [kept.arrays[f"leaf_{number}"] for number in range(form.num_leaves)]
-        point: Point = jax.tree.unflatten(form, leaves)
-        return Mark(point, kept.scalars["row"], kept.scalars["size"], kept.scalars["largest"])
+    def __init__(self, case: PointCase, context: Context | None = None) -> None:
+        super().__init__(case, context)
+        self.law, self.control = law_of(case), control_of(case.loading)
+        self.asked: Instant = instants_of(case.loading)
 
-    def _tell(self) -> str:
-        history = self.folder.history()
-        self.folder.write_outcome(_outcome(self.case, history) | _quadrature(law_of(self.case), history))
-        grows = any(np.ptp(history[name]) > 0.0 for name in ("growth_x", "growth_y"))
-        self.folder.save_figure("response", response_figure(history))
-        self.folder.save_figure("histories", histories_figure(history, grows))
-        n_steps = int(history["n_substeps"].sum())
-        if self.n_coarse:
-            self.folder.note(
-                f"{self.n_coarse} of {n_steps} steps were the smallest that are tried, and their error was above "
+    def start(self) -> PointState:
+        """Return the point under its first load."""
+        return next(self._walk(None, 0))
+
+    def march(self, state: PointState) -> Iterator[PointState]:
+        """Yield the point at every later instant of the loading."""
+        return self._walk(state.progress, state.n_coarse)
+
+    def _walk(self, progress: PointProgress | None, n_coarse: int) -> Iterator[PointState]:
+        for reached in integrate(self.law, self.control, self.asked, self.case.solver.relative_tolerance, progress):
+            n_coarse += reached.n_coarse
+            yield PointState(reached, n_coarse)
+
+    def rows(self, state: PointState) -> Iterator[Row]:
+        """Return the stretches, stresses and energies of a state as one row of the history."""
+        yield _row(state.progress)
+
+    def pack(self, state: PointState) -> Packed:
+        """Return the point with the law's history, and the state of the step-size control."""
+        progress = state.progress
+        scalars = {"row": progress.row, "size": progress.size, "largest": progress.largest, "n_coarse": state.n_coarse}
+        return packed_tree(progress.point), scalars
+
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> PointState:
+        """Return the state in a checkpoint, and restore the step-size control."""
+        first = Instant(*(column[0] for column in self.asked))
+        point = unpacked_tree(initial_state(self.law, first), arrays)
+        return PointState(
+            PointProgress(point, scalars["row"], scalars["size"], scalars["largest"]), scalars["n_coarse"]
+        )
+
+    def done(self, state: PointState) -> tuple[float, str]:
+        """Return the fraction of the rows that is computed, and the simulated time."""
+        hours = hours_from_seconds(float(state.progress.point.time))
+        return state.progress.row / (len(self.asked.time) - 1), f"{hours:.4g} h simulated"
+
+    def outcome(self, end: End[PointState]) -> dict[str, Quantity]:
+        """Return final and peak values, work and heat, and the quadrature error of the fibre directions."""
+        if end.state.n_coarse:
+            self.notes.append(
+                f"{end.state.n_coarse} of {_n_steps(end)} steps were the smallest that are tried, and their error was above "
                 "solver.relative_tolerance all the same: the loading or the law jumps there."
             )
-        return f"The point went through {np.ptp(history['time_h']):.6g} h in {n_steps} steps."
+        return _outcome(self.case, end.history) | _quadrature(self.law, end.history)
+
+    def figures(self, end: End[PointState]) -> Mapping[str, Drawing]:
+        """Return the functions that draw stress over stretch, and all quantities over time."""
+        grows = any(np.ptp(end.history[name]) > 0.0 for name in ("growth_x", "growth_y"))
+        return {
+            "response": partial(response_figure, end.history),
+            "histories": partial(histories_figure, end.history, grows),
+        }
+
+    def sentence(self, end: End[PointState]) -> str:
+        """Return a sentence on how far the loading was integrated."""
+        return f"The point was simulated over {np.ptp(end.history['time_h']):.6g} h in {_n_steps(end)} steps."
 
 
-def _row(mark: Mark) -> dict[str, Any]:
-    point = mark.point
+def _n_steps(end: End[PointState]) -> int:
+    return int(end.history["n_substeps"].sum())
+
+
+def _row(progress: PointProgress) -> dict[str, Any]:
+    point = progress.point
     stress, stretch = np.asarray(point.stress), np.asarray(point.stretch)
     return {
-        "step": mark.row,
+        "step": progress.row,
         "time_h": hours_from_seconds(float(point.time)),
         **{f"lambda_{axis}": float(value) for axis, value in zip("xyz", stretch)},
         "sigma_x_kPa": float(stress[0, 0]),
@@ -113,38 +121,38 @@ def _row(mark: Mark) -> dict[str, Any]:
         "sigma_z_kPa": float(stress[2, 2]),
         "sigma_xy_kPa": float(stress[0, 1]),
         "shear": float(point.shear),
-        "n_substeps": mark.n_substeps,
+        "n_substeps": progress.n_substeps,
     }
 
 
 def _outcome(case: PointCase, history: Mapping[str, np.ndarray]) -> dict[str, Quantity]:
-    """The numbers asked for: ends, peaks, and what became of the work."""
+    """Return the outcomes: final and peak values, and the work with its stored and dissipated parts."""
     end = {name: float(values[-1]) for name, values in history.items()}
     volume = history["lambda_x"] * history["lambda_y"] * history["lambda_z"]
-    told = {f"lambda_{axis}": Quantity(end[f"lambda_{axis}"], "1", "at the end") for axis in "xyz"}
+    outcome = {f"lambda_{axis}": Quantity(end[f"lambda_{axis}"], "1", "at the end") for axis in "xyz"}
     for axis in "xyz":
-        told[f"sigma_{axis}_kPa"] = Quantity(end[f"sigma_{axis}_kPa"], "kPa", "Cauchy, at the end")
+        outcome[f"sigma_{axis}_kPa"] = Quantity(end[f"sigma_{axis}_kPa"], "kPa", "Cauchy, at the end")
     for axis in "xyz" if case.loading.thickness in ("strain", "given") else "xy":
         stress = history[f"sigma_{axis}_kPa"]
         peak = int(np.argmax(np.abs(stress)))
         when = f"the largest by size, at {history['time_h'][peak]:.6g} h"
-        told[f"peak_sigma_{axis}_kPa"] = Quantity(float(stress[peak]), "kPa", when)
-    told["volume_ratio"] = Quantity(float(volume[-1]), "1", "det F at the end")
-    told["energy_kPa"] = Quantity(end["energy_kPa"], "kPa", "stored per reference volume at the end")
-    told["work_kPa"] = Quantity(work(history), "kPa", "done per reference volume, trapezoids over the rows")
-    told["dissipation_kPa"] = Quantity(end["dissipation_kPa"], "kPa", "turned into heat per reference volume")
+        outcome[f"peak_sigma_{axis}_kPa"] = Quantity(float(stress[peak]), "kPa", when)
+    outcome["volume_ratio"] = Quantity(float(volume[-1]), "1", "det F at the end")
+    outcome["energy_kPa"] = Quantity(end["energy_kPa"], "kPa", "stored per reference volume at the end")
+    outcome["work_kPa"] = Quantity(work(history), "kPa", "done per reference volume, trapezoids over the rows")
+    outcome["dissipation_kPa"] = Quantity(end["dissipation_kPa"], "kPa", "turned into heat per reference volume")
     if case.loading.repeat > 1:
         cycle = work(history, first_of_last_cycle(case))
-        told["hysteresis_kPa"] = Quantity(
+        outcome["hysteresis_kPa"] = Quantity(
             cycle, "kPa", f"work of cycle {case.loading.repeat}, trapezoids over the rows"
         )
-    told["n_substeps"] = Quantity(int(history["n_substeps"].sum()), "1", "steps in time")
-    return told
+    outcome["n_substeps"] = Quantity(int(history["n_substeps"].sum()), "1", "steps in time")
+    return outcome
 
 
 def _quadrature(law: EnergyMaterial, history: Mapping[str, np.ndarray]) -> dict[str, Quantity]:
-    """What the sums over directions and waviness of fibres leave, if there are fibres that can be resolved further."""
-    rows = np.unique(np.linspace(0, len(history["step"]) - 1, MOST_SHAPES).astype(int))
+    """Return the quadrature error of the sums over fibre directions and waviness; empty without fibres or a finer quadrature."""
+    rows = np.unique(np.linspace(0, len(history["step"]) - 1, MAX_SHAPES).astype(int))
     F = np.stack([np.diag([history[f"lambda_{axis}"][row] for axis in "xyz"]) for row in rows])
     try:
         errors = [quadrature_error(fibres, F) for fibres in fibres_within(law)]

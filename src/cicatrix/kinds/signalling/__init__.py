@@ -1,1 +1,1 @@
-"""A signalling network by itself."""
+"""A signalling network without tissue."""

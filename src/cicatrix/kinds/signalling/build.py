@@ -1,4 +1,4 @@
-"""From a case of kind "signalling" to what the network is led through."""
+"""Build the inputs over time, output times and initial states of a case of kind "signalling"."""
 
 from __future__ import annotations
 
@@ -7,39 +7,40 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...biology.network_model import Model
+from ...biology.network_model import NetworkModel
 from ...biology.steady import N_TIMES, latin_hypercube
 from ...core.errors import InputError
 from ...core.units import seconds_from_hours
 from ...numerics.ode import Accuracy
 from .case import SignallingCase
 
-STARTS, SLOWNESS = 30, 100.0
+STARTS, SLOWNESS = 30, 100.0  # defaults: random initial states; longest time to a steady state over the slowest time
 
 
 class Chunk(NamedTuple):
-    """A stretch of time under inputs that are held."""
+    """Time interval with constant inputs."""
 
     times_h: np.ndarray
-    """Start, rows, end, filled up with the end (N_TIMES,)."""
+    """Start, times of the rows, and end, which is repeated to fill the array (N_TIMES,)."""
     n_rows: int
+    """Number of rows in the interval."""
     inputs: np.ndarray
-    """(n_inputs,)."""
+    """Values of the inputs (n_inputs,)."""
 
 
 def accuracy_of(case: SignallingCase) -> Accuracy:
-    """How exactly to follow it."""
+    """Return the tolerances and method of time integration."""
     asked = case.solver
     return Accuracy(asked.relative_tolerance, asked.absolute_tolerance, asked.method, asked.max_steps)
 
 
-def refuse_unknown(case: SignallingCase, model: Model) -> None:
+def refuse_unknown(case: SignallingCase, model: NetworkModel) -> None:
     """Check the names that the case gives against those of the network.
 
     Raises
     ------
     InputError
-        With the key, the name, and the known ones.
+        If a name is unknown (the message lists the known ones), a value is out of range, or an input changes after the end.
     """
     known, species = model.law.input_names, model.law.species
     for key, names, all_of in (
@@ -59,8 +60,8 @@ def refuse_unknown(case: SignallingCase, model: Model) -> None:
     _refuse_beyond("steady.values", case.steady.values, model)
 
 
-def inputs_at(case: SignallingCase, model: Model, time_h: float) -> np.ndarray:
-    """Values of the inputs (n_inputs,) from a time on."""
+def inputs_at(case: SignallingCase, model: NetworkModel, time_h: float) -> np.ndarray:
+    """Return the values of the inputs (n_inputs,) that apply at a time."""
     values = model.inputs.copy()
     for name, schedule in case.set.items():
         number = int(np.searchsorted(schedule.time_h, time_h, side="right")) - 1
@@ -70,21 +71,21 @@ def inputs_at(case: SignallingCase, model: Model, time_h: float) -> np.ndarray:
 
 
 def row_times(case: SignallingCase) -> np.ndarray:
-    """When a row is written [h]: every step, and at the end."""
+    """Return the times of the history's rows [h]: 0, every multiple of ``time.step_h`` up to the duration, and the duration."""
     n = int(np.floor(case.time.duration_h / case.time.step_h * (1.0 + 1e-12)))
-    times = np.round(np.arange(n + 1) * case.time.step_h, 12)  # so that a row meets the change that it was meant for
+    times = np.round(np.arange(n + 1) * case.time.step_h, 12)  # so that a row coincides exactly with a change of inputs
     return times if np.isclose(times[-1], case.time.duration_h) else np.append(times, case.time.duration_h)
 
 
 def corners(case: SignallingCase) -> np.ndarray:
-    """Start, end, and every time at which an input changes [h]."""
+    """Return the start, the end, and every time at which an input changes [h]."""
     last = float(row_times(case)[-1])
     changes = {t for schedule in case.set.values() for t in schedule.time_h if 0.0 < t < last}
     return np.array(sorted(changes | {0.0, last}))
 
 
-def chunks(case: SignallingCase, model: Model) -> list[Chunk]:
-    """Lay out the run: the solver starts anew at every corner, and after so many rows that a checkpoint is worth while."""
+def chunks(case: SignallingCase, model: NetworkModel) -> list[Chunk]:
+    """Divide the time course into intervals of constant inputs and few rows, at whose ends the solver restarts."""
     rows, laid = row_times(case), []
     for start, end in zip(corners(case)[:-1], corners(case)[1:]):
         inside = rows[(rows > start) & (rows <= end)]
@@ -97,8 +98,8 @@ def chunks(case: SignallingCase, model: Model) -> list[Chunk]:
     return laid
 
 
-def starts_of(case: SignallingCase, model: Model) -> np.ndarray:
-    """Starts of the search for steady states (n, n_species): the network's own, then all low, all high, then drawn ones."""
+def starts_of(case: SignallingCase, model: NetworkModel) -> np.ndarray:
+    """Return initial states of the search for steady states (n, n_species): the network's own, all low, all high, random."""
     n = case.steady.starts
     if n is None:
         n = STARTS if model.is_normalised else 0
@@ -108,18 +109,18 @@ def starts_of(case: SignallingCase, model: Model) -> np.ndarray:
     return np.vstack([model.start, *ends, latin_hypercube(low, model.high, n, rng)])
 
 
-def longest_s(case: SignallingCase, model: Model) -> float:
-    """How long to wait for a network to rest [s]."""
+def longest_s(case: SignallingCase, model: NetworkModel) -> float:
+    """Return the longest time for which a network is integrated in search of a steady state [s]."""
     slowest = case.time.duration_h if model.slowest_h is None else model.slowest_h
     return seconds_from_hours(case.steady.longest_h or SLOWNESS * slowest)
 
 
-def outputs_of(case: SignallingCase, model: Model) -> Sequence[int]:
-    """Species whose sensitivities are asked for, by number."""
+def outputs_of(case: SignallingCase, model: NetworkModel) -> Sequence[int]:
+    """Return the indices of the species whose sensitivities are computed."""
     return [model.law.species.index(name) for name in case.sensitivity.outputs] or range(len(model.law.species))
 
 
-def _refuse_beyond(key: str, values: Iterable[float], model: Model) -> None:
+def _refuse_beyond(key: str, values: Iterable[float], model: NetworkModel) -> None:
     for value in values if model.is_normalised else ():
         if not 0.0 <= value <= 1.0:
             raise InputError(f"{key} must be in [0, 1]; got {value:g}")

@@ -1,4 +1,4 @@
-"""What a case of kind "signalling" says: plain data."""
+"""Tables of a case of kind "signalling": plain data."""
 
 from __future__ import annotations
 
@@ -8,24 +8,25 @@ from typing import Annotated, Any, ClassVar, Literal
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 from pydantic_core import PydanticCustomError
 
-from ...cases.bounds import OUT_OF_RANGE, Integer, NotNegative, Number, Positive, fault, limits
+from ...cases.bounds import OUT_OF_RANGE, Integer, NotNegative, Number, Positive, Rule, bounds, fault
 from ...cases.networks import NetworkTable
 from ...cases.table import Case, Table
 
-MOST_ROWS = 1_000_000
+MAX_ROWS = 1_000_000  # largest number of rows of the history
 
 
-def _rising(times: tuple[float, ...]) -> tuple[float, ...]:
-    if not times or any(later <= earlier for earlier, later in pairwise(times)):
-        raise PydanticCustomError(OUT_OF_RANGE, "{words}", {"words": "must be one time at least, and ascend"})
-    return times
+def _ascend(times: tuple[float, ...]) -> bool:
+    return bool(times) and all(earlier < later for earlier, later in pairwise(times))
+
+
+ASCENDING = Rule("must be at least one time, ascending", _ascend)
 
 
 class Schedule(Table):
-    """Values of an input, each from its time on; before the first time the network's own value holds."""
+    """Piecewise constant input: each value applies from its time on, and the network's own value before the first time."""
 
-    time_h: Annotated[tuple[NotNegative, ...], AfterValidator(_rising)]
-    value: tuple[Number, ...]
+    time_h: Annotated[tuple[NotNegative, ...], AfterValidator(ASCENDING)]  # times of change, ascending
+    value: tuple[Number, ...]  # value from each of these times on
 
     @model_validator(mode="after")
     def _as_many(self) -> Schedule:
@@ -35,7 +36,7 @@ class Schedule(Table):
 
 
 def _held(value: Any) -> Any:
-    """A number alone holds all the time."""
+    """Turn a single number into a schedule that is constant in time."""
     if isinstance(value, (int, float)) and not isinstance(value, bool):
         return {"time_h": (0.0,), "value": (value,)}
     if isinstance(value, (dict, Schedule)):
@@ -46,69 +47,74 @@ def _held(value: Any) -> Any:
 
 
 class TimeTable(Table):
-    """How long, and when to write a row."""
+    """Duration of the time course, and time between rows."""
 
-    duration_h: Positive = 48.0
-    step_h: Positive = 0.5
+    duration_h: Positive = 48.0  # simulated time
+    step_h: Positive = 0.5  # time between two rows of the history
 
     @model_validator(mode="after")
     def _not_too_many(self) -> TimeTable:
-        if self.duration_h / self.step_h > MOST_ROWS:
-            raise fault("step_h", f"must be at least duration_h / {MOST_ROWS:g}; got {self.step_h:g}")
+        if self.duration_h / self.step_h > MAX_ROWS:
+            raise fault("step_h", f"must be at least duration_h / {MAX_ROWS:g}; got {self.step_h:g}")
         return self
 
 
 class SteadyTable(Table):
-    """Steady states under the last inputs, from the network's own start, from all low, all high, and from a Latin hypercube."""
+    """Search for steady states with inputs at their values at the end of the time course.
 
-    starts: Annotated[Integer, limits(least=0, most=100_000)] | None = None  # of the hypercube; left out: 30, of SBML 0
-    longest_h: Positive | None = None  # left out: 100 times the slowest time; of SBML 100 times time.duration_h
-    over: str | None = None  # an input that is given each of some values
-    values: tuple[Number, ...] = ()
+    The search starts from the network's own initial state, from all activities low, from all high, and from a Latin hypercube.
+    """
+
+    starts: Annotated[Integer, bounds(least=0, most=100_000)] | None = None  # random starts; default 30, for SBML 0
+    longest_h: Positive | None = None  # longest simulated time; default: 100 slowest time constants (SBML: duration_h)
+    over: str | None = None  # input that is varied: steady states are computed at each of values
+    values: tuple[Number, ...] = ()  # values of the input that is varied
 
     @model_validator(mode="after")
     def _belong_together(self) -> SteadyTable:
         if (self.over is None) != (not self.values):
-            raise fault("values", "and over belong together: an input, and the values that it is given")
+            raise fault("values", "and over belong together: over names an input, values are what it is set to")
         return self
 
 
 class SensitivityTable(Table):
-    """Derivatives by every parameter."""
+    """Derivatives of activities with respect to every parameter."""
 
-    outputs: tuple[str, ...] = ()  # species; none said: all of them
-    at: Literal["steady", "end", "both", "none"] = "steady"
-
-
-class SolverTable(Table):
-    """How exactly the courses are followed."""
-
-    method: Literal["implicit", "explicit"] = "implicit"
-    relative_tolerance: Annotated[Number, limits(least=1e-12, most=1e-2)] = 1e-6
-    absolute_tolerance: Annotated[Number, limits(least=1e-16, most=1.0)] = 1e-9
-    max_steps: Annotated[Integer, limits(least=10, most=100_000_000)] = 100_000  # between two changes of inputs
+    outputs: tuple[str, ...] = ()  # species whose derivatives are computed; all by default
+    at: Literal["steady", "end", "both", "none"] = "steady"  # in the steady state, at the end of the course, or both
 
 
-class RunTable(Table):
-    """Seed of the starts."""
+class SignallingSolverTable(Table):
+    """Method and accuracy of time integration."""
 
-    seed: Annotated[Integer, limits(least=0, below=2**63)] = 1
+    method: Literal["implicit", "explicit"] = "implicit"  # implicit for stiff networks
+    relative_tolerance: Annotated[Number, bounds(least=1e-12, most=1e-2)] = 1e-6  # relative error of a time step
+    absolute_tolerance: Annotated[Number, bounds(least=1e-16, most=1.0)] = 1e-9  # absolute error of a time step
+    max_steps: Annotated[Integer, bounds(least=10, most=100_000_000)] = (
+        100_000  # time steps between two changes of inputs
+    )
+
+
+class SignallingRunTable(Table):
+    """Seed of the random initial states."""
+
+    seed: Annotated[Integer, bounds(least=0, below=2**63)] = 1  # equal seeds give equal initial states
 
 
 class SignallingCase(Case):
-    """A signalling network by itself: over time, at rest, and what it owes to its parameters."""
+    """Time course, steady states and parameter sensitivities of a signalling network."""
 
     files: ClassVar[tuple[str, ...]] = ("network.species", "network.reactions", "network.sbml")
-    kind: Literal["signalling"] = "signalling"
+    kind: Literal["signalling"] = "signalling"  # kind of the case
     network: NetworkTable
-    set: dict[str, Annotated[Schedule, BeforeValidator(_held)]] = Field(default_factory=dict)
+    set: dict[str, Annotated[Schedule, BeforeValidator(_held)]] = Field(default_factory=dict)  # inputs by name
     time: TimeTable = TimeTable()
     steady: SteadyTable = SteadyTable()
     sensitivity: SensitivityTable = SensitivityTable()
-    solver: SolverTable = SolverTable()
-    run: RunTable = RunTable()
+    solver: SignallingSolverTable = SignallingSolverTable()
+    run: SignallingRunTable = SignallingRunTable()
 
     @property
     def seed(self) -> int:
-        """Of the starts."""
+        """Seed of the random initial states."""
         return self.run.seed

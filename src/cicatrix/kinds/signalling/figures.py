@@ -1,4 +1,4 @@
-"""Pictures of a signalling network: over time, at rest, and what it owes to its parameters."""
+"""Figures of a signalling network: time course, steady states and parameter sensitivities."""
 
 from __future__ import annotations
 
@@ -12,17 +12,20 @@ from matplotlib.figure import Figure
 
 from ...biology.steady import SteadyStates
 
-MOST_LINES = 20  # more species are shown as a map
-MOST_PARAMETERS = 30
-FEWEST = 0.02  # of the greatest sensitivity: below it a parameter is not shown
+MAX_LINES = 20  # largest number of species drawn as lines; more are drawn as a map
+MAX_PARAMETERS = 30  # largest number of parameters that are shown
+MIN_SENSITIVITY = 0.02  # fraction of the largest sensitivity below which a parameter is not shown
 MARKS = ("-", "--", ":", "-.")
 
 
 def courses_figure(
     history: Mapping[str, np.ndarray], names: Sequence[str], inputs: Sequence[str], of_inputs: str = "input [1]"
 ) -> Figure:
-    """Every species over time, lines or a map of many; above them the inputs that the case sets, with their label."""
-    tall = 0.26 * len(names) + 1.5 if len(names) > MOST_LINES else 5.0
+    """Draw all species over time, as lines or as a map.
+
+    Above them, draw the inputs that the case sets, on an axis labelled ``of_inputs``.
+    """
+    tall = 0.26 * len(names) + 1.5 if len(names) > MAX_LINES else 5.0
     figure = Figure(figsize=(10, tall + (1.6 if inputs else 0.0)), layout="constrained")
     heights = [1.2, tall] if inputs else None
     axes = np.atleast_1d(figure.subplots(2 if inputs else 1, 1, sharex=True, height_ratios=heights))
@@ -34,7 +37,7 @@ def courses_figure(
         axes[0].grid(alpha=0.3)
         axes[0].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     states = np.array([history[name] for name in names])
-    if len(names) > MOST_LINES:
+    if len(names) > MAX_LINES:
         _map_over_time(axes[-1], time, states, names)
     else:
         _lines_over_time(axes[-1], time, states, names)
@@ -43,7 +46,7 @@ def courses_figure(
 
 
 def states_figure(found: SteadyStates, names: Sequence[str]) -> Figure:
-    """Activities in every steady state, stable ones first, with the starts that each of them drew."""
+    """Draw the activities in every steady state, with its stability and the number of initial states that reached it."""
     figure = Figure(figsize=(max(5.0, 0.42 * len(names) + 3.0), 0.5 * len(found.states) + 2.2), layout="constrained")
     ax = figure.subplots()
     if not found.states:
@@ -58,14 +61,14 @@ def states_figure(found: SteadyStates, names: Sequence[str]) -> Figure:
         for number, state in enumerate(found.states, 1)
     ]
     ax.set_yticks(range(len(words)), words)
-    if len(names) <= MOST_LINES:
+    if len(names) <= MAX_LINES:
         _write_values(ax, values)
     figure.colorbar(image, ax=ax, label="activity [1]")
     return figure
 
 
 def branches_figure(found: Mapping[float, SteadyStates], names: Sequence[str], over: str) -> Figure:
-    """Steady states of each species against an input: full marks stable, open marks unstable."""
+    """Draw the steady states of each species against an input: full marks are stable, open marks unstable."""
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
     figure = Figure(figsize=(2.9 * columns, 2.3 * rows), layout="constrained")
@@ -85,7 +88,7 @@ def branches_figure(found: Mapping[float, SteadyStates], names: Sequence[str], o
 
 
 def sensitivities_figure(rows: Sequence[Sequence[Any]]) -> Figure:
-    """Relative sensitivities p dy/dp, one map for each state: outputs across, the parameters that matter most down."""
+    """Draw relative sensitivities p dy/dp, one map for each state, with outputs as columns and the main parameters as rows."""
     maps = {at: _sensitivity_map([row for row in rows if row[0] == at]) for at in dict.fromkeys(row[0] for row in rows)}
     wide = sum(0.32 * len(outputs) + 2.6 for _, outputs, _ in maps.values())
     tall = max(0.2 * len(names) + 2.0 for names, _, _ in maps.values())
@@ -107,7 +110,9 @@ def _sensitivity_map(rows: Sequence[Sequence[Any]]) -> tuple[list[str], list[str
     for _, output, kind, of, _, _, relative in rows:
         values[names.index(f"{kind} {of}"), outputs.index(output)] = relative
     weight = np.abs(values).max(axis=1, initial=0.0)
-    order = [i for i in np.argsort(-weight, kind="stable")[:MOST_PARAMETERS] if weight[i] > FEWEST * weight.max()]
+    order = [
+        i for i in np.argsort(-weight, kind="stable")[:MAX_PARAMETERS] if weight[i] > MIN_SENSITIVITY * weight.max()
+    ]
     return [names[i] for i in order], outputs, values[order]
 
 

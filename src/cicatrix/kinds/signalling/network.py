@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ...biology.network_model import Model
+from ...biology.network_model import NetworkModel
 from ...cases.networks import NetworkTable
 from ...core.errors import InputError
 from ...files.networks import read_network
@@ -10,16 +10,16 @@ from ...files.sbml import read_sbml
 from .build import refuse_unknown
 from .case import SignallingCase
 
-COLUMNS = ("step", "time_h")  # of history.csv, beside the species
+COLUMNS = ("step", "time_h")  # columns of history.csv before those of the species
 
 
-def read_model(table: NetworkTable) -> Model:
+def read_model(table: NetworkTable) -> NetworkModel:
     """Read the network that a case names.
 
     Raises
     ------
     InputError
-        With the file, the row and what is wrong there.
+        If a file is not valid; the message names the file, the row and the error.
     """
     if table.sbml is not None:
         path, model = table.sbml, read_sbml(table.sbml, table.time_unit)
@@ -29,12 +29,12 @@ def read_model(table: NetworkTable) -> Model:
         path, model = table.species, read_network(table.species, table.reactions, table.inhibition)
     for name in model.law.species:
         if name in COLUMNS or name.startswith("input_"):
-            raise InputError(f'{path}: species "{name}" must have another name: history.csv has a column of that one')
+            raise InputError(f'{path}: species "{name}" must have another name: history.csv has a column of this name')
     return model
 
 
 def faults_of(case: SignallingCase) -> list[str]:
-    """What of a sound case does not fit its network, or of the network itself: one sentence, or none."""
+    """Check the network of a valid case and its use of names; return a list with the first fault, or an empty list."""
     try:
         refuse_unknown(case, read_model(case.network))
     except InputError as error:

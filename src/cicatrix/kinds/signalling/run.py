@@ -1,117 +1,116 @@
-"""A signalling network by itself: over time, at rest, and what it owes to its parameters."""
+"""A signalling network without tissue: its time course, steady states and parameter sensitivities."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from functools import cached_property
+from collections.abc import Iterator, Mapping
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
-from ...biology.courses import follow
-from ...biology.network_model import Model
+from ...biology.courses import integrate
+from ...biology.network_model import NetworkModel
 from ...biology.sensitivity import INPUT, Sensitivities, of_end, of_steady_state
 from ...biology.steady import SteadyStates, steady_states
 from ...core.errors import ConvergenceError
 from ...core.units import hours_from_seconds, seconds_from_hours
-from ...numerics.ode import Course
-from ...runs.progress import Progress
-from ...runs.results import Quantity, RunFolder
-from .build import Chunk, accuracy_of, chunks, corners, inputs_at, longest_s, outputs_of, refuse_unknown, starts_of
+from ...numerics.ode import Solution
+from ...runs.kind import Context, Drawing, End, Packed, ResultTable, Row, Simulation
+from ...runs.quantity import Quantity
+from .build import (
+    Chunk,
+    accuracy_of,
+    chunks,
+    corners,
+    inputs_at,
+    longest_s,
+    outputs_of,
+    refuse_unknown,
+    starts_of,
+)
 from .case import SignallingCase
 from .figures import branches_figure, courses_figure, sensitivities_figure, states_figure
 from .network import read_model
 
-CHECKPOINT_SECONDS = 10.0  # between two checkpoints; one more when the run is interrupted
 
-
-class Mark(NamedTuple):
-    """Where a run stands: at the end of a chunk."""
+class NetworkState(NamedTuple):
+    """State of the network after an interval of constant inputs (chunk), with its rows; the solver restarts at each chunk."""
 
     chunk: int
+    """Number of the next chunk."""
     row: int
+    """Number of the last row."""
     y: np.ndarray
+    """Activities or concentrations of the species (n_species,)."""
     n_steps: int
+    """Steps of the solver so far."""
+    new: tuple[tuple[int, float, np.ndarray], ...] = ()
+    """Number, time [h] and species of every row of the chunk."""
+    is_whole: bool = True
+    """Whether the solver reached the end of the chunk."""
 
 
-@dataclass
-class SignallingRun:
-    """One run; a checkpoint holds the state between two chunks of time, at each of which the solver starts anew."""
+class Analysis(NamedTuple):
+    """Results computed from the complete time course."""
 
-    case: SignallingCase
-    folder: RunFolder
-    progress: Progress
-    saved: float = field(default_factory=time.perf_counter)
+    found: dict[float | None, SteadyStates]
+    """Steady states by value of the input that ``steady.over`` names; key None for the inputs at the end of the time course."""
+    derivatives: dict[str, Sensitivities]
+    """Sensitivities; the key names the state at which they are computed, such as "state 1" or "end"."""
 
-    def go(self) -> str:
-        """Follow the network, find where it rests, differentiate; returns the sentence that ends the run."""
-        with self.progress.stage("network"):
-            refuse_unknown(self.case, self.model)
-            for note in self.model.notes:
-                self.folder.note(note)
-        with self.progress.stage("course"):
-            end = self._follow()
-        with self.progress.stage("steady states"):
-            found = self._search(end.y)
-        with self.progress.stage("sensitivities"):
-            derivatives = self._differentiate(found)
-        with self.progress.stage("outcome"):
-            return self._tell(end, found, derivatives)
 
-    @cached_property
-    def model(self) -> Model:
-        """The network."""
-        return read_model(self.case.network)
+class SignallingRun(Simulation[NetworkState]):
+    """Integrates a network through chunks of time, then computes its steady states and sensitivities."""
+
+    building, marching = "network", "course"
+
+    def __init__(self, case: SignallingCase, context: Context | None = None) -> None:
+        super().__init__(case, context)
+        self.model = read_model(case.network)
+        refuse_unknown(case, self.model)
+        self.notes = list(self.model.notes)
+        self.chunks = chunks(case, self.model)
 
     @cached_property
     def last_inputs(self) -> np.ndarray:
         """Inputs at the end of the course (n_inputs,)."""
         return inputs_at(self.case, self.model, self.case.time.duration_h)
 
-    def _follow(self) -> Mark:
-        """Write a row per asked time."""
-        laid = chunks(self.case, self.model)
-        mark = self._kept()
-        if mark is None:
-            mark = Mark(0, 0, self.model.start, 0)
-            self.folder.record(self._row(0, 0.0, mark.y))
-        try:
-            for number in range(mark.chunk, len(laid)):
-                mark = self._pass(laid[number], mark)
-                if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
-                    self._save(mark)
-                reached = laid[number].times_h[-1]
-                self.progress.update(
-                    (number + 1) / len(laid), f"{reached:.4g} h of {laid[-1].times_h[-1]:.4g} h simulated"
-                )
-        except (KeyboardInterrupt, ConvergenceError):
-            self._save(mark)
-            raise
-        return mark
+    def start(self) -> NetworkState:
+        """Return the initial state that the network's files give."""
+        return NetworkState(0, 0, self.model.start, 0, ((0, 0.0, self.model.start),))
 
-    def _pass(self, chunk: Chunk, mark: Mark) -> Mark:
-        """Follow the network through a chunk; what was reached before a failure is written."""
+    def march(self, state: NetworkState) -> Iterator[NetworkState]:
+        """Yield the network after every chunk; if a chunk fails, yield the part that was computed, then raise the error."""
+        for chunk in self.chunks[state.chunk :]:
+            state, failure = self._pass(chunk, state)
+            yield state
+            if failure is not None:
+                raise failure
+
+    def _pass(self, chunk: Chunk, at: NetworkState) -> tuple[NetworkState, ConvergenceError | None]:
         times = seconds_from_hours(chunk.times_h)
-        done = follow(
-            self.model.law, jnp.asarray(chunk.inputs), jnp.asarray(mark.y), jnp.asarray(times), accuracy_of(self.case)
+        done = integrate(
+            self.model.law, jnp.asarray(chunk.inputs), jnp.asarray(at.y), jnp.asarray(times), accuracy_of(self.case)
         )
-        states, n_steps = np.asarray(done.y), mark.n_steps + int(done.n_steps)
+        states, n_steps = np.asarray(done.y), at.n_steps + int(done.n_steps)
         rows = zip(chunk.times_h[1 : chunk.n_rows + 1], states[1:])
-        for number, (time_h, y) in enumerate(rows, mark.row + 1):
-            if np.isfinite(y).all():
-                self.folder.record(self._row(number, float(time_h), y))
-        if not done.is_done:
-            raise self._failure(chunk, done)
-        return Mark(mark.chunk + 1, mark.row + chunk.n_rows, states[-1], n_steps)
+        new = tuple(
+            (number, float(time_h), y) for number, (time_h, y) in enumerate(rows, at.row + 1) if np.isfinite(y).all()
+        )
+        failure = None if done.is_done else self._failure(chunk, done)
+        return NetworkState(at.chunk + 1, at.row + chunk.n_rows, states[-1], n_steps, new, failure is None), failure
 
-    def _failure(self, chunk: Chunk, done: Course) -> ConvergenceError:
+    def is_mark(self, state: NetworkState) -> bool:
+        """Return whether the chunk was integrated to its end."""
+        return state.is_whole
+
+    def _failure(self, chunk: Chunk, done: Solution) -> ConvergenceError:
         states, last = np.asarray(done.y), np.asarray(done.last)
         good = np.isfinite(states).all(axis=1)
         largest = int(np.argmax(np.abs(last)))
-        taken = f"solver.max_steps = {int(done.n_steps)} were taken" if done.is_spent else "the solver gave up"
+        taken = f"solver.max_steps = {int(done.n_steps)} were taken" if done.out_of_steps else "the solver gave up"
         hint = ' or take solver.method = "implicit"' if self.case.solver.method == "explicit" else ""
         return ConvergenceError(
             f"The network could not be followed beyond {hours_from_seconds(float(done.reached)):.6g} h, where "
@@ -120,35 +119,51 @@ class SignallingRun:
             [f"{t:.6g} h: largest {np.abs(y).max():g}" for t, y, ok in zip(chunk.times_h, states, good) if ok][-5:],
         )
 
-    def _row(self, number: int, time_h: float, y: np.ndarray) -> dict[str, Any]:
-        held = dict(zip(self.model.law.input_names, inputs_at(self.case, self.model, time_h)))
-        return {
-            "step": number,
-            "time_h": time_h,
-            **{name: float(value) for name, value in zip(self.model.law.species, y)},
-            **{f"input_{name}": float(held[name]) for name in self.case.set},
-        }
+    def rows(self, state: NetworkState) -> Iterator[Row]:
+        """Return the rows of the chunk: species, and the inputs that the case sets."""
+        for number, time_h, y in state.new:
+            inputs = dict(zip(self.model.law.input_names, inputs_at(self.case, self.model, time_h)))
+            yield {
+                "step": number,
+                "time_h": time_h,
+                **{name: float(value) for name, value in zip(self.model.law.species, y)},
+                **{f"input_{name}": float(inputs[name]) for name in self.case.set},
+            }
 
-    def _save(self, mark: Mark) -> None:
-        self.saved = time.perf_counter()
-        scalars = {"row": mark.row, "chunk": mark.chunk, "n_steps": mark.n_steps}
-        self.folder.save_checkpoint(mark.row, {"y": mark.y}, scalars)
+    def pack(self, state: NetworkState) -> Packed:
+        """Return the species as an array, and the numbers of chunk, row and solver steps, for a checkpoint."""
+        return {"y": state.y}, {"row": state.row, "chunk": state.chunk, "n_steps": state.n_steps}
 
-    def _kept(self) -> Mark | None:
-        kept = self.folder.checkpoint
-        return kept and Mark(kept.scalars["chunk"], kept.scalars["row"], kept.arrays["y"], kept.scalars["n_steps"])
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> NetworkState:
+        """Return the state in a checkpoint."""
+        return NetworkState(scalars["chunk"], scalars["row"], arrays["y"], scalars["n_steps"])
+
+    def done(self, state: NetworkState) -> tuple[float, str]:
+        """Return the fraction of the time intervals that is computed, and the simulated time."""
+        reached = self.chunks[state.chunk - 1].times_h[-1] if state.chunk else 0.0
+        return state.chunk / len(self.chunks), f"{reached:.4g} h of {self.chunks[-1].times_h[-1]:.4g} h simulated"
+
+    def analyse(self, state: NetworkState) -> Analysis:
+        """Return steady states and sensitivities."""
+        with self.context.progress.stage("steady states"):
+            found = self._search(state.y)
+        with self.context.progress.stage("sensitivities"):
+            return Analysis(found, self._differentiate(found))
 
     def _search(self, end: np.ndarray) -> dict[float | None, SteadyStates]:
-        """Steady states under the last inputs (None), then under every value of ``steady.over``; one start is the end."""
-        if self.model.law.heeds_time:
-            self.folder.note("The network heeds time itself: it has no steady states.")
+        """Find steady states for the inputs at the end of the course (key None) and each value of the varied input (key: value).
+
+        ``end``, the state at the end of the course, is one of the initial states of the search.
+        """
+        if self.model.law.is_time_dependent:
+            self.notes.append("The rates of the network depend on time, so it has no steady states.")
             return {}
         starts = np.vstack([starts_of(self.case, self.model), end])
         waiting, scale = longest_s(self.case, self.model), np.maximum(self.model.high, 1e-9)
         found = {}
         for number, (value, inputs) in enumerate(self._inputs_searched()):
             found[value] = steady_states(self.model.law, inputs, starts, waiting, scale, accuracy_of(self.case))
-            self.progress.update((number + 1) / (len(self.case.steady.values) + 1), "steady states")
+            self.context.progress.update((number + 1) / (len(self.case.steady.values) + 1), "steady states")
         return found
 
     def _inputs_searched(self) -> Iterator[tuple[float | None, np.ndarray]]:
@@ -159,14 +174,14 @@ class SignallingRun:
             yield value, inputs
 
     def _differentiate(self, found: dict[float | None, SteadyStates]) -> dict[str, Sensitivities]:
-        """Of every stable state under the last inputs, and of the end of the course."""
+        """Differentiate the stable steady states for the final inputs, and the final state, with respect to the parameters."""
         asked, derivatives = self.case.sensitivity.at, {}
         if asked in ("steady", "both") and found:
             for number, state in enumerate(found[None].stable, 1):
                 by = of_steady_state(self.model.law, self.last_inputs, state.y)
                 if by is None:
-                    self.folder.note(
-                        f"Steady state {number} has no derivatives: what is conserved decides where it is."
+                    self.notes.append(
+                        f"Steady state {number} has no derivatives: it depends on the values of conserved quantities."
                     )
                 else:
                     derivatives[f"state {number}"] = by
@@ -177,44 +192,64 @@ class SignallingRun:
             derivatives["end"] = of_end(self.model.law, inputs, self.model.start, times, accuracy_of(self.case))
         return derivatives
 
-    def _tell(self, end: Mark, found: dict[float | None, SteadyStates], derivatives: dict[str, Sensitivities]) -> str:
-        names = self.model.law.species
-        history = self.folder.history()
-        of_inputs = "input [1]" if self.model.is_normalised else "input"
-        self.folder.save_figure("courses", courses_figure(history, names, tuple(self.case.set), of_inputs))
-        told = {"n_solver_steps": Quantity(end.n_steps, "1", "of the course")}
-        told["end"] = Quantity(dict(zip(names, end.y)), "1", f"at {history['time_h'][-1]:g} h")
-        told |= _of_states(found, names, dict(zip(self.model.law.input_names, self.last_inputs)))
-        self.folder.write_outcome(told)
+    def outcome(self, end: End[NetworkState]) -> dict[str, Quantity]:
+        """Return the species at the end, and every steady state."""
+        names, hours = self.model.law.species, end.history["time_h"][-1]
+        outcome = {"n_solver_steps": Quantity(end.state.n_steps, "1", "of the course")}
+        outcome["end"] = Quantity(dict(zip(names, end.state.y)), "1", f"at {hours:g} h")
+        return outcome | _of_states(end.analysis.found, names, dict(zip(self.model.law.input_names, self.last_inputs)))
+
+    def tables(self, end: End[NetworkState]) -> Mapping[str, ResultTable]:
+        """Return steady states and sensitivities, row by row."""
+        found, derivatives = end.analysis
+        tables = {}
         if found:
-            self.folder.write_table("steady_states", *_states_table(found, names, self.case.steady.over))
-            self.folder.save_figure("steady_states", states_figure(found[None], names))
+            tables["steady_states"] = ResultTable(*_states_table(found, self.model.law.species, self.case.steady.over))
+        if derivatives:
+            head = ["at", "output", "kind", "of", "value", "derivative", "relative"]
+            tables["sensitivities"] = ResultTable(head, self._sensitivities(derivatives))
+        return tables
+
+    def _sensitivities(self, derivatives: dict[str, Sensitivities]) -> list[list[Any]]:
+        outputs = outputs_of(self.case, self.model)
+        return list(_sensitivity_rows(derivatives, self.model, self.last_inputs, outputs))
+
+    def figures(self, end: End[NetworkState]) -> Mapping[str, Drawing]:
+        """Return the functions that draw time courses and, where computed, steady states, branches and sensitivities."""
+        found, derivatives = end.analysis
+        names, of_inputs = self.model.law.species, "input [1]" if self.model.is_normalised else "input"
+        drawings: dict[str, Drawing] = {
+            "courses": partial(courses_figure, end.history, names, tuple(self.case.set), of_inputs)
+        }
+        if found:
+            drawings["steady_states"] = partial(states_figure, found[None], names)
         if len(found) > 1:
             branches = {value: one for value, one in found.items() if value is not None}
-            self.folder.save_figure("steady_branches", branches_figure(branches, names, str(self.case.steady.over)))
+            drawings["steady_branches"] = partial(branches_figure, branches, names, str(self.case.steady.over))
         if derivatives:
-            outputs = outputs_of(self.case, self.model)
-            rows = list(_sensitivity_rows(derivatives, self.model, self.last_inputs, outputs))
-            head = ["at", "output", "kind", "of", "value", "derivative", "relative"]
-            self.folder.write_table("sensitivities", head, rows)
-            self.folder.save_figure("sensitivities", sensitivities_figure(rows))
-        return f"The network was followed for {history['time_h'][-1]:.6g} h. {_verdict(found.get(None))}"
+            drawings["sensitivities"] = partial(sensitivities_figure, self._sensitivities(derivatives))
+        return drawings
+
+    def sentence(self, end: End[NetworkState]) -> str:
+        """Return a sentence on how long the network was integrated, and how many steady states were found."""
+        verdict = _verdict(end.analysis.found.get(None))
+        return f"The network was simulated over {end.history['time_h'][-1]:.6g} h. {verdict}"
 
 
 def _verdict(found: SteadyStates | None) -> str:
     if found is None:
-        return "It heeds time and has no steady states."
+        return "Its rates depend on time, so it has no steady states."
     n, unsettled = len(found.stable), int(np.sum(found.reached < 0))
-    rest = f" {unsettled} of {len(found.reached)} starts did not come to rest." if unsettled else ""
+    rest = f" {unsettled} of {len(found.reached)} starts did not reach a steady state." if unsettled else ""
     words = {0: "No stable steady state was found.", 1: "One stable steady state was found."}
-    many = f"{n} stable steady states were found: where it starts decides."
+    many = f"{n} stable steady states were found: the initial state decides which one is reached."
     return words.get(n, many) + rest
 
 
 def _of_states(
     found: dict[float | None, SteadyStates], names: tuple[str, ...], inputs: dict[str, float]
 ) -> dict[str, Quantity]:
-    """Steady states as the outcome tells them, none hidden."""
+    """Return the outcomes on steady states; unstable states and starts that reached none are included."""
     if not found:
         return {}
     here = found[None]
@@ -230,13 +265,13 @@ def _of_states(
     ]
     return {
         "n_stable_states": Quantity(len(here.stable), "1", f"from {len(here.reached)} starts under {under}"),
-        "is_bistable": Quantity("yes" if len(here.stable) > 1 else "no", "", "whether the start decides"),
+        "is_bistable": Quantity("yes" if len(here.stable) > 1 else "no", "", "whether it has several stable states"),
         "state_from_own_start": Quantity(_number(here.reached[0]), "1", "number of the state, from 1"),
         "state_from_end": Quantity(
-            _number(here.reached[-1]), "1", "number of the state that the course leads to, from 1"
+            _number(here.reached[-1]), "1", "number of the state reached from the end of the course, from 1"
         ),
-        "n_unsettled_starts": Quantity(int(np.sum(here.reached < 0)), "1", "which did not come to rest"),
-        "n_conserved": Quantity(here.n_conserved, "1", "quantities that the network keeps: zero eigenvalues"),
+        "n_unsettled_starts": Quantity(int(np.sum(here.reached < 0)), "1", "starts that did not reach a steady state"),
+        "n_conserved": Quantity(here.n_conserved, "1", "conserved quantities: number of zero eigenvalues"),
         "steady_states": Quantity(listed, "1", "stable ones first; growth: largest real part of an eigenvalue"),
     }
 
@@ -258,9 +293,9 @@ def _states_table(
 
 
 def _sensitivity_rows(
-    derivatives: dict[str, Sensitivities], model: Model, inputs: np.ndarray, outputs: Any
+    derivatives: dict[str, Sensitivities], model: NetworkModel, inputs: np.ndarray, outputs: Any
 ) -> Iterator[list[Any]]:
-    """State, output, kind and name of the parameter, its value, dy/dp, and p dy/dp; times are told in hours."""
+    """Yield rows of state, output, kind and name of the parameter, its value, dy/dp, and p dy/dp; times are in hours."""
     kinds = dict(model.law.differentiable) | {INPUT: model.law.input_names}
     for at, by in derivatives.items():
         for kind, columns in by.items():

@@ -1,4 +1,4 @@
-"""What a case of kind "tissue-cell" says: plain data."""
+"""Tables of a case of kind "tissue-cell": plain data."""
 
 from __future__ import annotations
 
@@ -8,73 +8,80 @@ import jax
 from pydantic import Field, model_validator
 
 from ...cases.adhesion import AnySubstrate, BondTable, CellTable
-from ...cases.bounds import Integer, NotNegative, Number, Positive, Probability, Times, fault, limits
+from ...cases.bounds import Integer, NotNegative, Number, Positive, Probability, Times, bounds, fault
 from ...cases.laws import AnyLaw, checked_law
 from ...cases.signals import AnySignal, TractionTable, TurnoverTable
 from ...cases.table import Case, Table
 
 YIELDING = ("maxwell", "standard-linear-solid")
-Stretch = Annotated[Number, limits(least=0.1, most=10.0)]
+Stretch = Annotated[Number, bounds(least=0.1, most=10.0)]
 
 
-class LoadingTable(Table):
-    """Equal stretches in the plane, held or led along."""
+class StretchLoadingTable(Table):
+    """Equibiaxial in-plane stretch, constant or piecewise linear in time."""
 
-    time_h: Times
-    stretch: tuple[Stretch, ...]  # at those times, linear between
-    n_rows: Annotated[Integer, limits(least=2, most=100_000)] = 200  # of the history, at equal times
+    time_h: Times  # times at which the stretch is given
+    stretch: tuple[Stretch, ...]  # stretch at these times, linear between
+    n_rows: Annotated[Integer, bounds(least=2, most=100_000)] = 200  # rows of the history, equally spaced in time
 
     @model_validator(mode="after")
-    def _as_many(self) -> LoadingTable:
+    def _as_many(self) -> StretchLoadingTable:
         if len(self.stretch) != len(self.time_h):
             raise fault("stretch", f"must have as many values as time_h ({len(self.time_h)}); got {len(self.stretch)}")
         return self
 
 
 class StartTable(Table):
-    """What the tissue holds at first."""
+    """Initial state of the tissue."""
 
-    rho_per_mm3: NotNegative | None = None  # left out: that of healthy tissue
-    c_g_per_mm3: NotNegative = 0.0
-    m_f: NotNegative = 1.0
-    bound_fraction: Probability = 0.0
+    rho_per_mm3: NotNegative | None = None  # cell density; default: that of healthy tissue
+    c_g_per_mm3: NotNegative = 0.0  # cytokine concentration
+    m_f: NotNegative = 1.0  # collagen relative to healthy tissue
+    bound_fraction: Probability = 0.0  # fraction of bonds that are closed
 
 
 class ScaleTable(Table):
-    """What cells and cytokine are counted in."""
+    """Reference values that make cells and cytokine dimensionless."""
 
-    rho_phys_per_mm3: Positive = 1e4
-    c_max_g_per_mm3: Positive = 1e-4
+    rho_phys_per_mm3: Positive = 1e4  # cell density of healthy tissue
+    c_max_g_per_mm3: Positive = 1e-4  # largest cytokine concentration
 
 
-class SolverTable(Table):
-    """How exactly the course is followed."""
+class TissueCellSolverTable(Table):
+    """Accuracy of the time integration."""
 
-    relative_tolerance: Annotated[Number, limits(least=1e-12, most=1e-2)] = 1e-7
-    absolute_tolerance: Annotated[Number, limits(least=1e-16, most=1e-2)] = 1e-10
-    max_steps: Annotated[Integer, limits(least=10, most=10_000_000)] = 10_000  # between two checkpoints
+    relative_tolerance: Annotated[Number, bounds(least=1e-12, most=1e-2)] = 1e-7  # relative error of a time step
+    absolute_tolerance: Annotated[Number, bounds(least=1e-16, most=1e-2)] = 1e-10  # absolute error of a time step
+    max_steps: Annotated[Integer, bounds(least=10, most=10_000_000)] = 10_000  # time steps in ten rows of the history
 
 
 class TissueCellCase(Case):
-    """Tissue that grows because its cells pull: from the bond to the stretch."""
+    """Tissue that grows because its cells pull at it: a model from the single bond to the growth stretch.
+
+    The tables ``[[law]]`` give the elastic law of the tissue, ``[substrate]`` that of the material under one bond.
+    """
 
     files: ClassVar[tuple[str, ...]] = ("signal.species", "signal.reactions")
-    kind: Literal["tissue-cell"] = "tissue-cell"
-    loading: LoadingTable
+    kind: Literal["tissue-cell"] = "tissue-cell"  # kind of the case
+    loading: StretchLoadingTable
+    # elastic material of the tissue: the sum of all tables
     law: tuple[AnyLaw, ...]  # pyright: ignore[reportInvalidTypeForm]
     bond: BondTable
+    # substrate that a bond pulls at, at the elastic stretch of the tissue; one of the tables below
     substrate: AnySubstrate  # pyright: ignore[reportInvalidTypeForm]
     cell: CellTable
+    # signal that the cells derive from their traction or strain; one of the tables below
     signal: AnySignal = TractionTable(type="traction")  # pyright: ignore[reportInvalidTypeForm]
+    # rates of cells, cytokine and collagen
     turnover: TurnoverTable = Field(default_factory=TurnoverTable)  # pyright: ignore[reportInvalidTypeForm]
-    growth_density: Annotated[Number, limits(above=0.0)] = 1.0  # varrho_f of Eq. (27)
+    growth_density: Annotated[Number, bounds(above=0.0)] = 1.0  # collagen gained per unit of growth stretch
     scale: ScaleTable = ScaleTable()
     start: StartTable = StartTable()
-    solver: SolverTable = SolverTable()
+    solver: TissueCellSolverTable = TissueCellSolverTable()
 
     @property
     def growth(self) -> None:
-        """The cells grow it."""
+        """None: growth of the tissue follows from its cells, not from a growth law."""
         return
 
     @model_validator(mode="after")
@@ -84,14 +91,14 @@ class TissueCellCase(Case):
         law = checked_law(self)
         if not law.has_potential() or jax.tree.leaves(law.initial_state((1,))):
             raise fault(
-                "law", "must be elastic: hours later its viscous parts have flown, and growth is that of the cells"
+                "law", "must be elastic: viscous stress relaxes long before tissue grows, and growth is by the cells"
             )
         return self
 
     @model_validator(mode="after")
     def _substrate_stays(self) -> TissueCellCase:
         if self.substrate.type in YIELDING:
-            raise fault("substrate.type", f'must not be "{self.substrate.type}": hours later it has yielded')
+            raise fault("substrate.type", f'must not be "{self.substrate.type}": it relaxes long before tissue grows')
         if "stretch" in self.substrate.model_fields_set:
             raise fault("substrate.stretch", "must be left out: it is the elastic stretch of the tissue")
         return self

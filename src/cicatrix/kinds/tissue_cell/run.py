@@ -1,12 +1,10 @@
-"""Tissue that grows because its cells pull: the chain followed through time."""
+"""Tissue that grows because its cells pull: the chain of models integrated through time."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from typing import Any
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,14 +13,13 @@ from ...cases.signals import NetworkSignalTable
 from ...core.errors import ConvergenceError
 from ...core.units import hours_from_seconds
 from ...files.networks import read_network
-from ...numerics.ode import Course
-from ...runs.progress import Progress
-from ...runs.results import Quantity, RunFolder
-from .build import CHUNK, Model, accuracy_of, felt, follow, is_borne, model_of, passive_stress
+from ...numerics.ode import Solution
+from ...runs.kind import Context, Drawing, End, Packed, Row, Simulation
+from ...runs.quantity import Quantity
+from .build import CHUNK, accuracy_of, adhesion_is_finite, integrate, model_of, passive_stress, stimulus
 from .case import TissueCellCase
-from .figures import chain_figure
+from .figures import tissue_cell_figure
 
-CHECKPOINT_SECONDS = 10.0  # between two checkpoints; one more when the run is interrupted
 UNITS = {
     "lambda_s": "1",
     "lambda_g": "1",
@@ -36,71 +33,58 @@ UNITS = {
 }
 
 
-@dataclass
-class TissueCellRun:
-    """One run; a checkpoint holds the states at the end of some rows, where the solver starts anew."""
+class TissueCellState(NamedTuple):
+    """State of the tissue at a row, with the rows since the solver was last started."""
 
-    case: TissueCellCase
-    folder: RunFolder
-    progress: Progress
-    saved: float = field(default_factory=time.perf_counter)
+    row: int
+    y: np.ndarray
+    """State of the model (n_states,)."""
+    n_steps: int
+    """Steps of the solver so far."""
+    new_rows: np.ndarray
+    """Numbers of the rows since the solver was last started (n,)."""
+    new_states: np.ndarray
+    """States at these rows (n, n_states)."""
 
-    def go(self) -> str:
-        """Follow the tissue to the end; returns the sentence that ends the run."""
-        with self.progress.stage("law"):
-            for note in self.model.notes:
-                self.folder.note(note)
-        with self.progress.stage("grow"):
-            n_steps = self._follow()
-        with self.progress.stage("outcome"):
-            return self._tell(n_steps)
 
-    @cached_property
-    def model(self) -> Model:
-        """The chain and what it is led by."""
-        return model_of(self.case, network_of(self.case))
+class TissueCellRun(Simulation[TissueCellState]):
+    """Integrates bond, signal, turnover and growth together; the solver restarts every few rows."""
 
-    def _follow(self) -> int:
-        """Write the rows; returns the solver's steps."""
-        kept, times = self.folder.checkpoint, self.model.times
-        if kept is None:
-            row, y, n_steps = 0, self.model.start, 0
-            self._record(np.array([0]), y[None])
-        else:
-            row, y, n_steps = kept.cycle, kept.arrays["y"], kept.scalars["n_steps"]
-        try:
-            while row < len(times) - 1:
-                y, taken = self._pass(row, y)
-                row, n_steps = min(row + CHUNK, len(times) - 1), n_steps + taken
-                if time.perf_counter() - self.saved > CHECKPOINT_SECONDS:
-                    self._save(row, y, n_steps)
-                now, end = hours_from_seconds(times[row]), hours_from_seconds(times[-1])
-                self.progress.update(row / (len(times) - 1), f"{now:.4g} h of {end:.4g} h simulated")
-        except (KeyboardInterrupt, ConvergenceError):
-            self._save(row, y, n_steps)
-            raise
-        return n_steps
+    building, marching = "law", "grow"
 
-    def _pass(self, row: int, y: np.ndarray) -> tuple[np.ndarray, int]:
-        """Some rows on from one: the states there, and the solver's steps."""
-        rows = np.minimum(np.arange(row, row + CHUNK + 1), len(self.model.times) - 1)  # as many always: compiled once
-        done = follow(
-            self.model.chain, self.model.corners, jnp.asarray(y), self.model.times[rows], accuracy_of(self.case)
-        )
-        states = np.asarray(done.y)
-        if not done.is_done:
-            raise self._failure(done)
-        new = np.unique(rows)[1:]
-        self._record(new, states[1 : len(new) + 1])
-        return states[-1], int(done.n_steps)
+    def __init__(self, case: TissueCellCase, context: Context | None = None) -> None:
+        super().__init__(case, context)
+        self.model = model_of(case, network_of(case))
+        self.notes = list(self.model.notes)
 
-    def _failure(self, done: Course) -> ConvergenceError:
+    def start(self) -> TissueCellState:
+        """Return the tissue at the first instant of its loading."""
+        y = self.model.start
+        return TissueCellState(0, y, 0, np.array([0]), y[None])
+
+    def march(self, state: TissueCellState) -> Iterator[TissueCellState]:
+        """Integrate the model, and yield the state after every few rows."""
+        last = len(self.model.times) - 1
+        while state.row < last:
+            rows = np.minimum(np.arange(state.row, state.row + CHUNK + 1), last)  # of one length: compiled once
+            done = integrate(
+                *(self.model.mechanobiology, self.model.corners, jnp.asarray(state.y), self.model.times[rows]),
+                accuracy_of(self.case),
+            )
+            if not done.is_done:
+                raise self._failure(done)
+            states, new = np.asarray(done.y), np.unique(rows)[1:]
+            n_steps = state.n_steps + int(done.n_steps)
+            state = TissueCellState(int(new[-1]), states[-1], n_steps, new, states[1 : len(new) + 1])
+            yield state
+
+    def _failure(self, done: Solution) -> ConvergenceError:
         y, reached = np.asarray(done.last), float(done.reached)
-        held = ", ".join(f"{name} {value:.4g}" for name, value in zip(self.model.chain.names[:5], y))
+        held = ", ".join(f"{name} {value:.4g}" for name, value in zip(self.model.mechanobiology.names[:5], y))
         elastic = float(self.model.stretch(np.array(reached))) / y[0]
-        if not is_borne(self.model, elastic):
-            why = "cells pull more than the substrate bears there"
-        elif done.is_spent:
+        if not adhesion_is_finite(self.model, elastic):
+            why = "the cells' pull exceeds the load that the substrate can carry there"
+        elif done.out_of_steps:
             why = f"solver.max_steps = {int(done.n_steps)} were taken; raise it"
         else:
             why = f"the solver gave up after {int(done.n_steps)} steps"
@@ -110,12 +94,13 @@ class TissueCellRun:
             [f"last good state: {held}"],
         )
 
-    def _record(self, rows: np.ndarray, states: np.ndarray) -> None:
-        at, scale = self.model.times[rows], self.case.scale
-        has = felt(self.model, states, at)
+    def rows(self, state: TissueCellState) -> Iterator[Row]:
+        """Return stretches, densities, traction and stress at the new rows."""
+        at, scale, states = self.model.times[state.new_rows], self.case.scale, state.new_states
+        has = stimulus(self.model, states, at)
         passive = passive_stress(self.model.law, has.elastic)
-        for k, (row, y) in enumerate(zip(rows, states)):
-            cells: Mapping[str, Any] = {
+        for k, (row, y) in enumerate(zip(state.new_rows, states)):
+            yield {
                 "step": int(row),
                 "time_h": float(hours_from_seconds(at[k])),
                 "lambda": float(self.model.stretch(at[k])),
@@ -130,26 +115,45 @@ class TissueCellRun:
                 "sigma_passive_kPa": float(passive[k]),
                 "force_pN": float(has.force[k]),
                 "signal": float(has.signal[k]),
-                **{f"activity_{name}": float(value) for name, value in zip(self.model.chain.signal.names, y[5:])},
+                **{
+                    f"activity_{name}": float(value)
+                    for name, value in zip(self.model.mechanobiology.signal.names, y[5:])
+                },
             }
-            self.folder.record(cells)
 
-    def _save(self, row: int, y: np.ndarray, n_steps: int) -> None:
-        self.saved = time.perf_counter()
-        self.folder.save_checkpoint(row, {"y": y}, {"n_steps": n_steps})
+    def pack(self, state: TissueCellState) -> Packed:
+        """Return the state of the model."""
+        return {"y": state.y}, {"row": state.row, "n_steps": state.n_steps}
 
-    def _tell(self, n_steps: int) -> str:
-        history = self.folder.history()
-        told = {name: Quantity(float(history[name][-1]), unit, "at the end") for name, unit in UNITS.items()}
-        told["n_solver_steps"] = Quantity(n_steps, "1")
-        self.folder.write_outcome(told)
-        self.folder.save_figure("chain", chain_figure(history))
-        grown = history["lambda_g"][-1] - history["lambda_g"][0]
-        return f"Through {history['time_h'][-1]:.6g} h the tissue grew by {100 * grown:.3g} % along each axis of the plane."
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> TissueCellState:
+        """Return the state in a checkpoint."""
+        y = arrays["y"]
+        return TissueCellState(scalars["row"], y, scalars["n_steps"], np.zeros(0, int), np.zeros((0, len(y))))
+
+    def done(self, state: TissueCellState) -> tuple[float, str]:
+        """Return the fraction of the rows that is computed, and the simulated time."""
+        times = self.model.times
+        now, end = hours_from_seconds(times[state.row]), hours_from_seconds(times[-1])
+        return state.row / (len(times) - 1), f"{now:.4g} h of {end:.4g} h simulated"
+
+    def outcome(self, end: End[TissueCellState]) -> dict[str, Quantity]:
+        """Return the stretches, densities, traction and stress of the last row."""
+        last = {name: Quantity(float(end.history[name][-1]), unit, "at the end") for name, unit in UNITS.items()}
+        return last | {"n_solver_steps": Quantity(end.state.n_steps, "1")}
+
+    def figures(self, end: End[TissueCellState]) -> Mapping[str, Drawing]:
+        """Return the figure of all states over time."""
+        return {"chain": partial(tissue_cell_figure, end.history)}
+
+    def sentence(self, end: End[TissueCellState]) -> str:
+        """Return a sentence on how much the tissue grew."""
+        hours, growth = end.history["time_h"][-1], end.history["lambda_g"]
+        percent = 100 * (growth[-1] - growth[0])
+        return f"In {hours:.6g} h the tissue grew by {percent:.3g} % along each axis of the plane."
 
 
 def network_of(case: TissueCellCase):
-    """Read the network of a case's signal and its start, if it has one."""
+    """Return the signalling network of a case and its initial state; None if its signal is not a network."""
     if not isinstance(case.signal, NetworkSignalTable):
         return None
     model = read_network(case.signal.species, case.signal.reactions, case.signal.inhibition)

@@ -1,4 +1,4 @@
-"""The bodies of the two reference wounds: a square sheet with a round wound, a half ball of breast with an ellipsoidal cavity."""
+"""Bodies of the two reference wounds: a square sheet with a round wound, and a hemisphere with an ellipsoidal cavity."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ...geometry.meshing import INSIDE
 from ...geometry.solid import Solid, fitted, remesh, split
 from ...geometry.tetrahedra import boundary, used_only, with_middles
 from ...materials.neo_hookean import NeoHookean
-from ...mechanics.body import Body, Frame, measures
+from ...mechanics.body import Body, Discretization, measures
 from ...mechanics.solids import solid_space
 from ...mechanics.space import AnySpace, Sheet, SolidSpace
 
@@ -22,45 +22,45 @@ SIDE_MM, WOUND_MM, BLEND_MM = (
     100.0,
     7.5,
     5.0,
-)  # of the square; radius of the wound; width of the passage to healthy tissue
+)  # side of the square, radius of the wound, width of the transition to healthy tissue
 N_RING = 720  # material points on the wound's edge
 BREAST_MM = 65.0  # radius of the half ball: 575 ml
-CAVITY_MM = np.array([25.0, 22.0, 20.4])  # semi-axes: 47 ml, the mean of the clinic three to eight weeks after surgery
+CAVITY_MM = np.array([25.0, 22.0, 20.4])  # semi-axes: 47 ml, the clinical mean three to eight weeks after surgery
 CAVITY_CENTRE_MM = np.array([0.0, 0.0, 30.0])
-BLEND_SOLID_MM = 5.0
-FINENESS = 0.6  # edges at the cavity over those far away
-TISSUE_KG_MM3 = 1e-6  # without gravity it plays no part
+BLEND_SOLID_MM = 5.0  # width of the transition from the cavity to healthy tissue
+FINENESS = 0.6  # edge length at the cavity over that far away
+TISSUE_KG_MM3 = 1e-6  # any value: without gravity it has no effect
 
 
 @dataclass(frozen=True, eq=False)
-class Place:
-    """Material points of a body."""
+class MaterialPoints:
+    """Material points of a body, at which fields are evaluated."""
 
     elements: np.ndarray
-    """Element of each (n,)."""
+    """Element of each point (n,)."""
     shares: np.ndarray
-    """Shape functions of the element's corners at each (n, a)."""
+    """Shape functions of the element's corners at each point (n, a)."""
 
     def values(self, corners: np.ndarray) -> np.ndarray:
-        """Of a field at the corners of all elements (n_elements, a, ...) -> (n, ...)."""
+        """Interpolate a field from the a corners of each element to the material points: (n_elements, a, ...) -> (n, ...)."""
         return np.einsum("pa,pa...->p...", self.shares, corners[self.elements])
 
     def mean(self, corners: np.ndarray) -> float:
-        """Mean of a field at the corners of all elements (n_elements, a)."""
+        """Return the mean over the material points of a field given at the corners of the elements (n_elements, a)."""
         return float(self.values(corners).mean())
 
 
 class Healthy(NamedTuple):
-    """Share of healthy tissue, 0 in the wound."""
+    """Fraction of healthy tissue: 0 in the wound, 1 far from the wound."""
 
     corners: np.ndarray
-    """At the corners of elements, ascending by node (n,) [1]."""
+    """Fraction at the vertex nodes, in ascending order (n,) [1]."""
     points: np.ndarray
-    """At quadrature points (n_elements, n_qp) [1]."""
+    """Fraction at quadrature points (n_elements, n_qp) [1]."""
 
     @classmethod
     def of(cls, space: AnySpace, at: Callable[[np.ndarray], np.ndarray]) -> Healthy:
-        """From a function of positions (n, 3) [mm] -> (n,)."""
+        """Evaluate the fraction ``at``, a function of positions (n, 3) [mm] -> (n,) [1], at vertices and quadrature points."""
         X, table = space.positions, space.corner_table
         points = np.einsum("qa,eai->eqi", table.value, X[space.corners])
         return cls(at(X[np.unique(space.corners)]), at(points.reshape(-1, 3)).reshape(points.shape[:2]))
@@ -68,42 +68,46 @@ class Healthy(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class WoundBody:
-    """A body with a wound in it."""
+    """Mesh of a body with a wound, and the points and measures of the wound."""
 
-    frame: Frame
+    discretization: Discretization
     X: np.ndarray
-    """(n_nodes, 3) [mm]."""
-    held: np.ndarray
-    """Carriers of cells and cytokine, by their places among the corners, where both keep their values."""
+    """Reference positions (n_nodes, 3) [mm]."""
+    fixed_vertices: np.ndarray
+    """Vertex nodes with fixed cell density and cytokine concentration, as indices into the sorted vertex nodes."""
     healthy: Healthy
-    """How much of the tissue is healthy."""
-    centre: Place
-    edge: Place
+    """Fraction of healthy tissue."""
+    centre: MaterialPoints
+    """Point at the centre of the wound."""
+    edge: MaterialPoints
+    """Points along the edge of the wound."""
     size: Callable[[np.ndarray], float]
-    """Area or volume of the material that was wound at first, at positions (n_nodes, 3) [mm]."""
+    """Area or volume of the material that formed the initial wound, at positions (n_nodes, 3) [mm]."""
 
     @property
     def middle_mm(self) -> float:
-        """Where the plane y = constant through the wound's centre lies."""
-        return float(self.X[self.frame.space.corners[self.centre.elements[0]], 1].mean())
+        """Coordinate y of the plane y = constant through the wound's centre [mm]."""
+        return float(self.X[self.discretization.space.corners[self.centre.elements[0]], 1].mean())
 
-    def empty_body(self) -> Body:
-        """Any tissue on it, without skin; healing brings its own."""
-        space = self.frame.space
+    def placeholder_body(self) -> Body:
+        """Return the body with a placeholder law and without skin; the healing model sets its own law."""
+        space = self.discretization.space
         shape = space.n_elements, space.table.weight.size
         filler = NeoHookean(1.0, 1.0)
-        n_facets = len(self.frame.skin_facets)
-        return Body(self.frame, filler, np.full(shape, TISSUE_KG_MM3), np.ones(shape[0]), filler, np.zeros(n_facets))
+        n_facets = len(self.discretization.skin_facets)
+        return Body(
+            self.discretization, filler, np.full(shape, TISSUE_KG_MM3), np.ones(shape[0]), filler, np.zeros(n_facets)
+        )
 
 
 def smoother_step(x: np.ndarray) -> np.ndarray:
-    """0 below 0, 1 above 1, with two continuous derivatives between."""
+    """Evaluate a smooth step: 0 below 0, 1 above 1, with two continuous derivatives."""
     x = np.clip(x, 0.0, 1.0)
     return x**3 * (x * (6.0 * x - 15.0) + 10.0)
 
 
 def sheet_with_wound(n: int) -> WoundBody:
-    """Square of n x n quadrilaterals, clamped, with cells and cytokine held at its edge; its ring starts at 7.5 mm."""
+    """Build a clamped square of n x n quadrilaterals with a wound of radius 7.5 mm; cells and cytokine are fixed at its edge."""
     line = np.linspace(-0.5 * SIDE_MM, 0.5 * SIDE_MM, n + 1)
     mesh = skfem.MeshQuad.init_tensor(line, line)
     X = np.zeros((mesh.p.shape[1], 3))
@@ -111,25 +115,25 @@ def sheet_with_wound(n: int) -> WoundBody:
     space = Sheet(X, np.ascontiguousarray(mesh.t.T))
     border = np.unique(space.boundary)
     angle = np.linspace(0.0, 2.0 * np.pi, N_RING, endpoint=False)
-    ring = _place(line, WOUND_MM * np.stack([np.cos(angle), np.sin(angle)], axis=-1), space)
+    ring = _points_in_squares(line, WOUND_MM * np.stack([np.cos(angle), np.sin(angle)], axis=-1), space)
 
     def area(x: np.ndarray) -> float:
         (a, b, _), (c, d, _) = ring.values(x[space.corners]).T, np.roll(ring.values(x[space.corners]), -1, axis=0).T
         return 0.5 * float(np.sum(a * d - b * c))
 
     return WoundBody(
-        Frame(space, np.zeros(0, int), border),
+        Discretization(space, np.zeros(0, int), border),
         X,
         border,
         Healthy.of(space, lambda x: smoother_step((np.linalg.norm(x[:, :2], axis=1) - WOUND_MM) / BLEND_MM)),
-        _place(line, np.zeros((1, 2)), space),
+        _points_in_squares(line, np.zeros((1, 2)), space),
         ring,
         area,
     )
 
 
-def _place(line: np.ndarray, points: np.ndarray, space: Sheet) -> Place:
-    """Points (n, 2) [mm] in a mesh of squares between lines."""
+def _points_in_squares(line: np.ndarray, points: np.ndarray, space: Sheet) -> MaterialPoints:
+    """Locate points (n, 2) [mm] in a mesh of equal squares between grid lines ``line`` [mm]."""
     low, step, n = line[0], line[1] - line[0], len(line) - 1
     cell = np.clip(((points - low) / step).astype(int), 0, n - 1)
     corner = low + step * cell
@@ -141,26 +145,29 @@ def _place(line: np.ndarray, points: np.ndarray, space: Sheet) -> Place:
     local = (points - corner) / step
     at = (space.positions[space.corners[elements]][:, :, :2] - corner[:, None]) / step  # 0 or 1
     shares = np.where(at > 0.5, local[:, None], 1.0 - local[:, None]).prod(axis=-1)
-    return Place(elements, shares)
+    return MaterialPoints(elements, shares)
 
 
 def breast_with_cavity(n: int) -> WoundBody:
-    """Half ball on the chest wall, held there, with an ellipsoidal cavity whose border lies on faces of elements.
+    """Build a half ball fixed on the chest wall, with an ellipsoidal cavity whose border lies on faces of elements.
 
-    Edges are about a n-th of its diameter, shorter at the cavity. Far away cells and cytokine keep nothing fixed: no flux passes
-    the skin or the chest wall, so that healthy tissue drifts to its own fixed point.
+    Edges are about 1 / n of the diameter, shorter at the cavity. Cells and cytokine have no prescribed values: no flux passes the
+    skin or the chest wall, so that healthy tissue drifts to its own steady state.
     """
     nodes, tetrahedra, is_cavity = _half_ball(2.0 * BREAST_MM / n)
     space = SolidSpace(*with_middles(nodes, tetrahedra))
-    held = np.unique(space.boundary[np.isclose(space.positions[space.boundary][..., 2], 0.0, atol=1e-9).all(axis=1)])
+    constrained_nodes = np.unique(
+        space.boundary[np.isclose(space.positions[space.boundary][..., 2], 0.0, atol=1e-9).all(axis=1)]
+    )
     healthy = Healthy.of(space, lambda x: smoother_step(ellipsoid(x) / BLEND_SOLID_MM))
-    return _solid_with_wound(space, held, is_cavity, healthy, CAVITY_CENTRE_MM)
+    return _solid_with_wound(space, constrained_nodes, is_cavity, healthy, CAVITY_CENTRE_MM)
 
 
 def meshed_wound(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_wound: np.ndarray) -> WoundBody:
-    """A body of a mesh, held where nodes are; wound up to the faces of its tetrahedra, where cells and cytokine are halfway.
+    """Build a body with a wound from a mesh whose nodes and tetrahedra are marked as fixed and as wound.
 
-    points (n, 3) [mm], tetrahedra (m, 4) or (m, 10), is_fixed (n,) bool, is_wound (m,) bool.
+    points (n, 3) [mm], tetrahedra (m, 4) or (m, 10), is_fixed (n,) bool, is_wound (m,) bool. At the vertices between wound and
+    healthy tissue the fraction of healthy tissue is one half.
     """
     space, fixed_nodes = solid_space(points, tetrahedra, is_fixed)
     corners = np.unique(space.corners)
@@ -172,22 +179,22 @@ def meshed_wound(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarra
 
 
 def _solid_with_wound(
-    space: SolidSpace, held: np.ndarray, is_wound: np.ndarray, healthy: Healthy, centre: np.ndarray
+    space: SolidSpace, constrained_nodes: np.ndarray, is_wound: np.ndarray, healthy: Healthy, centre: np.ndarray
 ) -> WoundBody:
     inside, border = np.flatnonzero(is_wound), _faces_between(space.corners, is_wound)
     return WoundBody(
-        frame=Frame(space, np.zeros(0, int), held),
+        discretization=Discretization(space, np.zeros(0, int), constrained_nodes),
         X=space.positions,
-        held=np.zeros(0, int),
+        fixed_vertices=np.zeros(0, int),
         healthy=healthy,
         centre=_nearest(space, centre),
-        edge=Place(border, np.full((len(border), 4), 0.25)),
+        edge=MaterialPoints(border, np.full((len(border), 4), 0.25)),
         size=lambda x: float(measures(space, x)[inside].sum()),
     )
 
 
 def ellipsoid(x: np.ndarray) -> np.ndarray:
-    """Distance to the cavity's border, to first order, negative inside: (n, 3) [mm] -> (n,) [mm]."""
+    """Approximate the signed distance to the cavity's border to first order, negative inside: (n, 3) [mm] -> (n,) [mm]."""
     y = x - CAVITY_CENTRE_MM
     size = np.linalg.norm(y / CAVITY_MM, axis=1)
     slope = np.linalg.norm(y / CAVITY_MM**2, axis=1)
@@ -195,7 +202,7 @@ def ellipsoid(x: np.ndarray) -> np.ndarray:
 
 
 def _half_ball(edge: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nodes (n, 3) [mm], tetrahedra (m, 4), and which of them are the cavity (m,)."""
+    """Mesh the half ball: return nodes (n, 3) [mm], tetrahedra (m, 4), and which tetrahedra form the cavity (m,) bool."""
 
     def ball(x: np.ndarray) -> np.ndarray:
         return np.linalg.norm(x, axis=1) - BREAST_MM
@@ -227,14 +234,14 @@ def _round_faces(body: Solid) -> np.ndarray:
     return faces[~body.is_flat(faces)]
 
 
-def _nearest(space: AnySpace, point: np.ndarray) -> Place:
+def _nearest(space: AnySpace, point: np.ndarray) -> MaterialPoints:
     centres = space.positions[space.corners].mean(axis=1)
     element = int(np.linalg.norm(centres - point, axis=1).argmin())
-    return Place(np.array([element]), np.full((1, space.corners.shape[1]), 1.0 / space.corners.shape[1]))
+    return MaterialPoints(np.array([element]), np.full((1, space.corners.shape[1]), 1.0 / space.corners.shape[1]))
 
 
 def _faces_between(tetrahedra: np.ndarray, is_cavity: np.ndarray) -> np.ndarray:
-    """Elements of the cavity that have all corners of a face on its border (n,)."""
+    """Return the cavity's tetrahedra with at least three corners on the cavity's border, as indices (n,)."""
     outside = np.zeros(tetrahedra.max() + 1, bool)
     outside[tetrahedra[~is_cavity]] = True
     return np.flatnonzero(is_cavity & (outside[tetrahedra].sum(axis=1) >= 3))

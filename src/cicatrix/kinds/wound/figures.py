@@ -1,4 +1,4 @@
-"""Pictures of a wound that heals by fields."""
+"""Figures of a wound that heals by the continuum model."""
 
 from __future__ import annotations
 
@@ -12,22 +12,20 @@ from ...files.figures_continuum import VIEW_MM, View
 
 COLOURS = {"centre": "#d55e00", "edge": "#0072b2"}
 PANELS = {
-    "rho": "cells, of healthy tissue [1]",
-    "c": "cytokine, of its largest [1]",
-    "phi": "collagen, of healthy tissue [1]",
+    "rho": "cells / healthy tissue [1]",
+    "c": "cytokine / largest [1]",
+    "phi": "collagen / healthy tissue [1]",
 }
 
 
 def course_figure(history: Mapping[str, np.ndarray], ratio: str) -> Figure:
-    """Size of the wound, and what it holds at its centre and edge, over time."""
+    """Draw the size of the wound, cells, cytokine, collagen and permanent stretch at its centre and edge, over time."""
     figure = Figure(figsize=(12, 6.4), layout="constrained")
     axes = figure.subplots(2, 3).flat
     days = days_from_hours(history["time_h"])
     ax = next(axes)
     ax.plot(days, history[ratio], color="black", linewidth=1.8)
-    ax.set_ylabel(
-        "area of the ring over its first [1]" if "area" in ratio else "volume of the cavity over its first [1]"
-    )
+    ax.set_ylabel("wound area / initial area [1]" if "area" in ratio else "cavity volume / initial volume [1]")
     lam = "lamP_area" if "area" in ratio else "lamP_volume"
     for name, title in {**PANELS, lam: f"permanent stretch of {'area' if 'area' in ratio else 'volume'} [1]"}.items():
         ax = next(axes)
@@ -37,7 +35,7 @@ def course_figure(history: Mapping[str, np.ndarray], ratio: str) -> Figure:
         ax.legend(frameon=False, fontsize=9)
     ax = next(axes)
     ax.semilogy(days[1:], history["step_h"][1:], ".-", color="0.35", linewidth=0.8)
-    ax.set_ylabel("step of time [h]")
+    ax.set_ylabel("time step [h]")
     for ax in figure.axes:
         ax.set_xlabel("time [d]")
         ax.grid(alpha=0.3)

@@ -1,10 +1,10 @@
-"""A wound that heals by fields, from its case to its folder."""
+"""A wound that the continuum model heals: integrated step by step, with maps of its fields at regular times."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from functools import cached_property
-from typing import Any
+from collections.abc import Iterator, Mapping
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -12,99 +12,105 @@ from ...cases.continuum_laws import network_of
 from ...core.units import days_from_hours, hours_from_seconds, seconds_from_hours
 from ...files.figures_continuum import fields_figure
 from ...files.meshes import read_wound
-from ...healing.continuum import Course, course_arrays, course_from, course_scalars
-from ...runs.progress import Progress
-from ...runs.results import Quantity, RunFolder
+from ...healing.continuum import IntegratorState, integrator_arrays, integrator_from, integrator_scalars
+from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
+from ...runs.quantity import Quantity
 from .body import WoundBody, meshed_wound
-from .build import WoundModel, model_of, numbers_of
+from .build import model_of, numbers_of
 from .case import WoundCase
 from .figures import BREAST, SHEET, course_figure
 
-STEPS_PER_CHECKPOINT = (
-    10  # matrices are made anew there, so that a run that goes on has the bits of one that was not stopped
-)
+STEPS_PER_MARK = 10  # steps after which the solver's matrices are dropped; then later steps depend on the state alone
 
 
-@dataclass
-class WoundRun:
-    """One run; a checkpoint holds the states that a step looks back to."""
+class WoundStep(NamedTuple):
+    """State of a wound after a time step."""
 
-    case: WoundCase
-    folder: RunFolder
-    progress: Progress
+    integration: IntegratorState
+    first_size: float
+    """Initial area or volume of the wound [mm^2, mm^3]."""
+    factorizations: int
+    """Factorisations of the mechanical matrix so far."""
+    picture: int | None = None
+    """Number of the map of fields that is due at this instant, if one is."""
+    is_mark: bool = True
+    """Whether the solver's matrices have been dropped."""
 
-    def go(self) -> str:
-        """Follow the wound to the end; returns the sentence that ends the run."""
-        with self.progress.stage("body"):
-            for note in self.model.notes:
-                self.folder.note(note)
-        with self.progress.stage("heal"):
-            course = self._heal()
-        with self.progress.stage("outcome"):
-            return self._tell(course)
 
-    @cached_property
-    def model(self) -> WoundModel:
-        """The wound."""
-        return model_of(self.case, network_of(self.case.mechanosensing), body_of(self.case))
+class WoundRun(Simulation[WoundStep]):
+    """Integrates cells, cytokine, collagen and mechanics of a case of kind "wound"."""
 
-    def _heal(self) -> Course:
-        solver, end = self.model.solver, seconds_from_hours(self.case.hours)
-        course = self._kept()
-        if course is None:
-            course = self.model.start(seconds_from_hours(self.case.solver.first_step_h))
-            self._record(course)
-            self._picture(0, course)
-        number = self._pictures_until(course)
-        while course.time < end * (1.0 - 1e-9):
-            until = min(seconds_from_hours((number + 1) * self.case.picture_hours), end)
-            for reached in solver.follow(course, until):
-                course = reached
-                self._record(course)
-                self.progress.update(course.time / end, f"{days_from_hours(hours_from_seconds(course.time)):.3g} d")
-                if course.taken % STEPS_PER_CHECKPOINT == 0:
-                    self._save(course)
+    building, marching = "body", "heal"
+
+    def __init__(self, case: WoundCase, context: Context | None = None) -> None:
+        super().__init__(case, context)
+        self.model = model_of(case, network_of(case.mechanosensing), body_of(case))
+        self.solver = self.model.solver
+        self.notes = list(self.model.notes)
+        self.end = seconds_from_hours(case.hours)
+        self.ratio = "ring_area_ratio" if case.is_sheet else "cavity_volume_ratio"
+
+    def start(self) -> WoundStep:
+        """Return the fresh wound in equilibrium with the traction of its cells."""
+        integration = self.model.start(seconds_from_hours(self.case.solver.first_step_h))
+        return WoundStep(
+            integration, numbers_of(self.model, integration.now).size, self.solver.factorizations, picture=0
+        )
+
+    def march(self, state: WoundStep) -> Iterator[WoundStep]:
+        """Yield the wound after every step; steps end exactly at the times of the maps, which are equally spaced."""
+        integration, every = state.integration, self.case.output_interval_h
+        if state.is_mark:
+            self.solver.reset()
+            self.solver.factorizations = state.factorizations
+        number = int(np.floor(hours_from_seconds(integration.time) / every + 1e-9))
+        while integration.time < self.end * (1.0 - 1e-9):
             number += 1
-            self._picture(number, course)
-            self._save(course)
-        return course
+            until = min(seconds_from_hours(number * every), self.end)
+            for reached in self.solver.integrate(integration, until):
+                integration = reached
+                is_due = integration.time >= until * (1.0 - 1e-12)
+                is_mark = is_due or integration.n_accepted % STEPS_PER_MARK == 0
+                if is_mark:
+                    self.solver.reset()
+                picture = number if is_due else None
+                yield WoundStep(integration, state.first_size, self.solver.factorizations, picture, is_mark)
 
-    def _pictures_until(self, course: Course) -> int:
-        return int(np.floor(hours_from_seconds(course.time) / self.case.picture_hours + 1e-9))
+    def is_mark(self, state: WoundStep) -> bool:
+        """Return whether the solver's matrices were dropped after this step."""
+        return state.is_mark
 
-    @cached_property
-    def _first_size(self) -> float:
-        return float(self.folder.history()["wound_size"][0])
-
-    def _record(self, course: Course) -> None:
-        numbers = numbers_of(self.model, course.now)
-        size, sheet = numbers.size, self.case.is_sheet
-        first = size if course.taken == 0 else self._first_size
-        ratio = "ring_area_ratio" if sheet else "cavity_volume_ratio"
-        lam = "lamP_area" if sheet else "lamP_volume"
-        held = {
+    def rows(self, state: WoundStep) -> Iterator[Row]:
+        """Return sizes, densities at the wound's centre and edge, and the solver's effort."""
+        integration = state.integration
+        numbers = numbers_of(self.model, integration.now)
+        lam = "lamP_area" if self.case.is_sheet else "lamP_volume"
+        local = {
             f"{lam if name == 'lamP' else name}_{where}": value
             for where, values in numbers.at.items()
             for name, value in values.items()
         }
-        row: dict[str, Any] = {
-            "step": course.taken,
-            "time_h": hours_from_seconds(course.time),
-            ratio: size / first,
-            **held,
+        yield {
+            "step": integration.n_accepted,
+            "time_h": hours_from_seconds(integration.time),
+            self.ratio: numbers.size / state.first_size,
+            **local,
             "cells_total": numbers.cells * self.case.values["rho_phys_per_mm3"],
-            "step_h": hours_from_seconds(course.last),
-            "newton_iterations": course.iterations,
-            "wound_size": size,
-            "steps_cut": course.rejected,
+            "step_h": hours_from_seconds(integration.last_dt),
+            "newton_iterations": integration.iterations,
+            "wound_size": numbers.size,
+            "steps_cut": integration.n_rejected,
         }
-        self.folder.record(row)
 
-    def _picture(self, number: int, course: Course) -> None:
-        """Fields for ParaView."""
-        state, transport = course.now, self.model.solver.transport
+    def fields(self, state: WoundStep) -> Iterator[Fields]:
+        """Return the fields on the deformed body if a map is due at this time."""
+        if state.picture is not None:
+            yield self._map(state.picture, state.integration)
+
+    def _map(self, number: int, integration: IntegratorState) -> Fields:
+        state, transport = integration.now, self.model.solver.transport
         space = transport.space
-        X, x = (values[transport.carriers] for values in (self.model.body.X, state.x))
+        X, x = (values[transport.vertex_nodes] for values in (self.model.body.X, state.x))
         local = state.local
         W = self.model.solver.tissue(state).energy_density(self.model.body.X, state.x)
         at_points = {
@@ -113,67 +119,77 @@ class WoundRun:
             "signal": self.model.solver.signal(state),
             "strain_energy_density_kPa": W,
         }
-        points = {name: transport.at_carriers(values) for name, values in at_points.items()}
+        points = {name: transport.at_vertices(values) for name, values in at_points.items()}
         points |= {"cells": state.fields[:, 0], "cytokine": state.fields[:, 1], "displacement": x - X}
-        cells = transport.cells if space.n_axes == 3 else _triangles(transport.cells)
-        time_days = days_from_hours(hours_from_seconds(course.time))
-        self.folder.write_fields("wound", number, time_days, X, cells, points, {})
+        cells = transport.element_vertices if space.n_axes == 3 else _triangles(transport.element_vertices)
+        time_days = days_from_hours(hours_from_seconds(integration.time))
+        return Fields("wound", number, time_days, X, cells, points)
 
-    def _save(self, course: Course) -> None:
-        """Keep what the next steps depend on; matrices are let go, as they are when a run goes on from here."""
-        self.model.solver.forget()
-        spent = {"factorizations": self.model.solver.factorizations}
-        self.folder.save_checkpoint(course.taken, course_arrays(course), course_scalars(course) | spent)
+    def pack(self, state: WoundStep) -> Packed:
+        """Return the state as arrays and numbers for a checkpoint: all values on which the next step depends."""
+        counted = {"factorizations": state.factorizations, "first_size": state.first_size}
+        return integrator_arrays(state.integration), integrator_scalars(state.integration) | counted
 
-    def _kept(self) -> Course | None:
-        kept = self.folder.checkpoint
-        if kept is None:
-            return None
-        self.model.solver.factorizations = kept.scalars["factorizations"]
-        return course_from(kept.arrays, kept.scalars)
+    def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> WoundStep:
+        """Return the state in a checkpoint."""
+        return WoundStep(integrator_from(arrays, scalars), scalars["first_size"], scalars["factorizations"])
 
-    def _tell(self, course: Course) -> str:
-        history = self.folder.history()
-        name = "ring_area_ratio" if self.case.is_sheet else "cavity_volume_ratio"
+    def done(self, state: WoundStep) -> tuple[float, str]:
+        """Return the fraction of the duration that is simulated, and the day."""
+        time = state.integration.time
+        return time / self.end, f"{days_from_hours(hours_from_seconds(time)):.3g} d"
+
+    @property
+    def what(self) -> str:
+        """Words for the measured size of the wound: an area in a sheet, a volume in a solid."""
+        return "area of the ring" if self.case.is_sheet else "volume of the cavity"
+
+    def outcome(self, end: End[WoundStep]) -> dict[str, Quantity]:
+        """Return the size of the wound at the end and at its smallest, the densities at the end, and the effort."""
+        history, integration, name = end.history, end.state.integration, self.ratio
         ratio, hours = history[name], history["time_h"]
-        least = int(ratio.argmin())
-        what = "area of the ring" if self.case.is_sheet else "volume of the cavity"
-        first = history["wound_size"][0]
+        least, unit = int(ratio.argmin()), "mm2" if self.case.is_sheet else "mm3"
+        first = float(history["wound_size"][0])
         outcome = {
-            name: Quantity(float(ratio[-1]), "1", f"{what} at the end over that at first"),
+            name: Quantity(float(ratio[-1]), "1", f"{self.what} at the end, relative to the initial one"),
             f"least_{name}": Quantity(float(ratio[least]), "1", "the smallest"),
             "time_of_least_h": Quantity(float(hours[least]), "h", "when it was smallest"),
-            "first_size": Quantity(
-                float(first), "mm2" if self.case.is_sheet else "mm3", f"{what} at first, under the pull"
-            ),
-            "steps": Quantity(course.taken, "1"),
-            "steps_cut": Quantity(course.rejected, "1", "too long for their error, or without a solution"),
+            "first_size": Quantity(first, unit, f"initial {self.what}, under the pull"),
+            "steps": Quantity(integration.n_accepted, "1"),
+            "steps_cut": Quantity(integration.n_rejected, "1", "too long for their error, or without a solution"),
             "iterations": Quantity(int(history["newton_iterations"].sum()), "1"),
-            "factorizations": Quantity(self.model.solver.factorizations, "1", "of mechanics"),
+            "factorizations": Quantity(end.state.factorizations, "1", "of mechanics"),
             "n_dofs": Quantity(self._n_dofs(), "1", "of positions and fields that are free"),
         }
         for where in ("centre", "edge"):
             for key in [key for key in history if key.endswith(f"_{where}")]:
                 outcome[key] = Quantity(float(history[key][-1]), "1", "at the end")
-        self.folder.write_outcome(outcome)
-        self.folder.save_figure("course", course_figure(history, name))
-        view = SHEET if self.case.is_sheet else BREAST._replace(at_mm=self.model.body.middle_mm)
-        shown = fields_figure(
-            self.model.solver.transport, course.now, course.now.x, days_from_hours(self.case.hours), view
-        )
-        self.folder.save_figure("fields", shown)
-        days = days_from_hours(self.case.hours)
-        now, lowest = 100.0 * ratio[-1], 100.0 * ratio[least]
-        return f"In {days:.4g} days the {what} came to {now:.3g} % of its first ({lowest:.3g} % at least)."
+        return outcome
 
     def _n_dofs(self) -> int:
-        solver = self.model.solver
-        supports = solver.body.frame.supports(solver.transport.space.n_axes == 2)
-        return supports.n_unknowns + 2 * len(solver.transport.free)
+        supports = self.solver.body.discretization.supports(self.solver.transport.space.n_axes == 2)
+        return supports.n_unknowns + 2 * len(self.solver.transport.free)
+
+    def figures(self, end: End[WoundStep]) -> Mapping[str, Drawing]:
+        """Return the functions that draw the wound over time, and its fields at the end."""
+        view = SHEET if self.case.is_sheet else BREAST._replace(at_mm=self.model.body.middle_mm)
+        now, days = end.state.integration.now, days_from_hours(self.case.hours)
+        return {
+            "course": partial(course_figure, end.history, self.ratio),
+            "fields": partial(fields_figure, self.solver.transport, now, now.x, days, view),
+        }
+
+    def sentence(self, end: End[WoundStep]) -> str:
+        """Return a sentence on the change of the wound's size."""
+        ratio = end.history[self.ratio]
+        days, now, least = days_from_hours(self.case.hours), 100.0 * ratio[-1], 100.0 * ratio.min()
+        return (
+            f"In {days:.4g} days the {self.what} changed to {now:.3g} % of its initial value (minimum {least:.3g} %)."
+        )
 
 
 def body_of(case: WoundCase) -> WoundBody | None:
-    """Read the body that the case names, if it does."""
+    """Read the body whose mesh the case names; None if it names none."""
     if case.body is None:
         return None
     solid, is_wound = read_wound(case.body.mesh, case.body.mesh_unit)
@@ -181,5 +197,5 @@ def body_of(case: WoundCase) -> WoundBody | None:
 
 
 def _triangles(squares: np.ndarray) -> np.ndarray:
-    """Quadrilaterals as pairs of triangles (2 n, 3), for ParaView."""
+    """Split quadrilaterals into pairs of triangles (2 n, 3), for ParaView."""
     return np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]])

@@ -99,7 +99,7 @@
     draw() {
       this.window.getRenderWindow().render();
     }
-    // the shape in a position at a moment, or the nearest earlier one
+    // the shape in a position at a given time, or else the last one before it
     pick(position, label, at) {
       const own = this.shapes.filter((shape) => shape.position === position);
       const candidates = own.length ? own : this.shapes;
@@ -146,13 +146,13 @@
       this.placed = true;
       this.draw();
     }
-    // a section fills its frame, whatever the frame's shape
+    // zoom a section so that it fills the canvas
     #fit() {
       const [x0, x1, y0, y1] = this.actor.getBounds();
       const aspect = this.canvas.clientWidth / this.canvas.clientHeight;
       this.camera.setParallelScale(0.53 * Math.max(y1 - y0, (x1 - x0) / aspect));
     }
-    // follow the camera of another view
+    // copy the camera of another view
     follow(other) {
       this.camera.set({
         position: other.camera.getPosition(),
@@ -229,9 +229,9 @@
       const { shape, values } = this.shown;
       const colour = this.scene.colours.find((entry) => entry.name === name);
       this.figure.querySelector(".where").textContent = `${shape.label}, ${shape.position}`;
-      if (colour) this.figure.querySelector(".high").textContent = `${short(range[1])}${values && greatest(values) > range[1] * 1.001 ? " and more" : ""}`;
+      if (colour) this.figure.querySelector(".high").textContent = `${short(range[1])}${values && greatest(values) > range[1] * 1.001 ? " or more" : ""}`;
       this.figure.querySelector(".unit").textContent = colour ? withUnit(colour.label, colour.unit) : "";
-      const instead = shape.label === wanted ? "" : ` There is no ${wanted} in this run; this is ${shape.label}.`;
+      const instead = shape.label === wanted ? "" : ` This run has no shape for ${wanted}; the view shows ${shape.label}.`;
       const most = colour && values ? ` ${colour.label}: ${short(least(values))} to ${short(greatest(values))} ${colour.unit === "1" ? "" : colour.unit}.` : "";
       this.figure.querySelector(".said").textContent = `${shape.label}, ${shape.position}.${most}${instead}`;
     }
@@ -329,7 +329,7 @@
     const clinic = runs[0].closing.clinic.days.map((day, k) => ({ day, percent: runs[0].closing.clinic.percent[k] }));
     const names = [...new Set(rows.map((row) => row.run))];
     draw(figure, "closing", (Plot) => ({
-      color: { domain: [...names, "clinic: cavity on MRI, day 23 = 100 %"], range: [...COLOURS.slice(0, names.length), "currentColor"], legend: true },
+      color: { domain: [...names, "clinical: cavity on MRI, day 23 = 100 %"], range: [...COLOURS.slice(0, names.length), "currentColor"], legend: true },
       x: { label: "days after surgery [days]" },
       y: { label: "still open [%]", domain: [0, 105] },
       marks: [
@@ -478,7 +478,7 @@
 
   // src/slices.js
   var LABEL_COLOURS = [[0, 0, 0], [240, 228, 66], [0, 158, 115], [204, 121, 167], [213, 94, 0], [86, 180, 233]];
-  var ZONES = ["", "taken out", "margin to keep clear of tumour"];
+  var ZONES = ["", "excised", "margin (should be free of tumour)"];
   var ZONE_COLOURS = [[0, 0, 0], [230, 40, 40], [255, 170, 60]];
   var STEPS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
   var Slices = class {
@@ -518,7 +518,7 @@
       this.figure.dataset.drawn = this.layers.join(", ");
       return this;
     }
-    // the point (3,) LPS [mm] becomes that of the crosshair
+    // move the crosshair to a point (3,) LPS [mm]
     goTo([x, y, z]) {
       this.nv.scene.crosshairPos = this.nv.mm2frac([-x, -y, z]);
       this.nv.drawScene();
@@ -623,7 +623,7 @@
         return `Started ${name}.`;
       }));
       element("stop").addEventListener("click", () => this.#told(async () => {
-        element("told").textContent = "Stopping, once the state is kept ...";
+        element("told").textContent = "Stopping; waiting until the state is saved ...";
         const { sentence } = await ask("stop");
         return sentence;
       }));
@@ -655,7 +655,7 @@
       try {
         this.#progress(await ask("progress"));
       } catch (fault) {
-        element("told").textContent = `The server does not answer (${fault.message}); start cicatrix plan again.`;
+        element("told").textContent = `The server does not answer (${fault.message}); run cicatrix plan again.`;
         return;
       }
       this.waiting = setTimeout(() => this.watch(), WATCH_MS);
@@ -680,7 +680,7 @@
       this.#paint();
       this.measure();
     }
-    // the ball and its margin into the voxels of the layer
+    // write the ball and its margin into the voxels of the zones layer
     #paint() {
       const { shape, spacing, origin } = this.content.grid;
       const { centre, wish } = this;
@@ -747,7 +747,7 @@
       console.error(fault);
       const words = document.createElement("p");
       words.className = "gap";
-      words.textContent = `This could not be drawn (${fault.message}). The figures at the foot of the page and in figures.pdf show the same.`;
+      words.textContent = `This part could not be drawn (${fault.message}). The figures at the end of the page and in figures.pdf show the same results.`;
       document.querySelector(where)?.append(words);
     }
   }

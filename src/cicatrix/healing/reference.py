@@ -1,6 +1,6 @@
-"""The NumPy twin of the compiled automaton: clear, vectorised, good for 10^6 sites; the same bits as native/automaton.cpp.
+"""NumPy reference implementation of the automaton, bit-identical to native/automaton.cpp; practical up to 10^6 sites.
 
-What a step does is told to the bit in docs/theory/automaton.md.
+docs/theory/automaton.md specifies a step to the bit.
 """
 
 from __future__ import annotations
@@ -16,15 +16,15 @@ from .rules import AutomatonRules
 from .window import Window
 
 
-class TwinCore:
-    """Cells on a lattice that can be told to do steps.
+class ReferenceCore:
+    """Automaton on a lattice, advanced step by step with NumPy.
 
     Parameters
     ----------
     fillable, occupancy : bool arrays of the lattice's shape
-        Sites that may ever hold a cell, and those that do.
+        Sites that can be occupied by a cell, and sites that are occupied.
     step : int
-        Steps done before.
+        Number of steps done before.
     """
 
     def __init__(
@@ -38,28 +38,28 @@ class TwinCore:
     ) -> None:
         self.lattice, self.fillable, self.rules, self.seed = lattice, fillable, rules, seed
         self._occupancy, self.step = occupancy.copy(), step
-        self.last: list[int] = []  # what the last step gave, as a row of ``advance``
+        self.last: list[int] = []  # counts of the last step, in the order of the columns that ``advance`` returns
 
-    ranks_of_last_step = 1  # every rank does the whole
+    ranks_of_last_step = 1  # every rank does the whole step
 
     def occupancy(self) -> np.ndarray:
-        """Sites that hold a cell: bool array of the lattice's shape."""
+        """Return the sites occupied by a cell: bool array of the lattice's shape."""
         return self._occupancy.copy()
 
     def advance(self, n_steps: int, W: np.ndarray, W_ref: float) -> np.ndarray:
-        """Do steps under a constant cue.
+        """Perform automaton steps with a strain energy density that is constant in time.
 
         Parameters
         ----------
         W : (1,) or (n_sites,) array [kPa]
-            Strain energy density, for all or per site in C order.
+            Strain energy density, one value for all sites or one per site in C order.
         W_ref : float [kPa]
-            Energy density at which the feedback is one unit.
+            Reference energy density of the feedback.
 
         Returns
         -------
         (n_steps, 5) int64 array
-            Edge divisions, layer divisions, dropped divisions, clamped probabilities, cells.
+            Numbers of edge divisions, layer divisions, dropped divisions, clamped probabilities and cells after each step.
         """
         p = self.rules.p_layer * (1 + self.rules.feedback * W / W_ref)
         return np.array([self._step(p) for _ in range(n_steps)], np.int64).reshape(n_steps, 5)
@@ -72,25 +72,25 @@ class TwinCore:
             if done is None:
                 done = self._step_in(Window.whole(self.lattice, self.fillable), p)
             if done is None:
-                raise InvariantError(f"the whole lattice was called too narrow for the automaton's step {self.step}")
+                raise InvariantError(f"the automaton's step {self.step} needs more than the whole lattice (a bug)")
             self._occupancy, counts = done
         n_cells = int(np.count_nonzero(self._occupancy))
         if n_cells != n_before + counts[0] + counts[1] or counts[2] < 0 or (self._occupancy & ~self.fillable).any():
             raise InvariantError(
                 f"the automaton lost or doubled cells at step {self.step}: {n_cells} cells where "
-                f"{n_before + counts[0] + counts[1]} belong"
+                f"{n_before + counts[0] + counts[1]} are expected"
             )
         self.step, self.last = self.step + 1, [*counts, n_cells]
         return (*counts, n_cells)
 
     @property
     def _margin(self) -> int:
-        """Sites beyond the open region that one step can read or write, in hops."""
+        """Number of hops beyond the open region within which one step can read or write."""
         n = self.rules.motility_substeps
         return n + max(n, self.rules.layer_sites) + 2
 
     def _step_in(self, window: Window, p: np.ndarray) -> tuple[np.ndarray, tuple[int, int, int, int]] | None:
-        """One step with the work confined to a window; None if the window is too narrow for it to be exact."""
+        """Perform one step within a window; return occupancy and counts, or None if the window is too small to be exact."""
         rules, seed, step = self.rules, self.seed, self.step
         divided, n_edge = divide_at_edge(window, window.cut(self._occupancy), rules, seed, step)
         moved, is_exact = move(window, divided, rules.motility_substeps, seed, step)
@@ -115,10 +115,10 @@ class TwinCore:
 def divide_at_edge(
     window: Window, occupied: np.ndarray, rules: AutomatonRules, seed: int, step: int
 ) -> tuple[np.ndarray, int]:
-    """Edge division: (size,) bool -> (size,) bool and the number of divisions.
+    """Perform the edge division: (size,) bool -> (size,) bool and the number of divisions.
 
-    A cell with enough free neighbours divides with probability p_edge into one of them, all equally likely. Where
-    several choose the same site it is filled once, and the divisions of the others did not happen.
+    A cell with enough free neighbours divides with probability p_edge into one of them, all equally likely. If several
+    cells choose the same site, only one of them divides.
     """
     free = window.fillable & ~occupied
     cells = np.flatnonzero(window.beside(free) & occupied)
@@ -134,9 +134,9 @@ def divide_at_edge(
 
 
 def divide_in_layer(window: Window, layer: np.ndarray, p: np.ndarray, seed: int, step: int) -> tuple[np.ndarray, int]:
-    """Return the cells of the layer that divide (flat indices), and how many probabilities were clamped at 1.
+    """Return the layer cells that divide (flat indices), and the number of probabilities that were clamped at 1.
 
-    p: (1,) or (n_sites,) probability before clamping, for all or per site of the lattice [1].
+    p: (1,) or (n_sites,) probability before clamping, one for all sites or one per site of the lattice [1].
     """
     site = window.site(layer)
     here = p[site] if p.size > 1 else np.broadcast_to(p, site.shape)
