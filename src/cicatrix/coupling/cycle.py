@@ -9,6 +9,7 @@ from typing import Any, Generic, final
 
 import numpy as np
 
+from ..core.named import part, prefixed
 from ..mechanics.body import Body
 from ..mechanics.equilibrium import Equilibrium
 from ..mechanics.extension import Extension
@@ -142,7 +143,7 @@ class HealingCycle(Generic[H]):
     def pack(self, state: TissueState[H]) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
         """Return a state as named arrays, and scalars that JSON can store."""
         arrays, scalars = self.healing.pack(state.healing)
-        return {"x": state.x} | {f"healing.{name}": array for name, array in arrays.items()}, {
+        return {"x": state.x} | prefixed("healing", arrays), {
             "cycle": state.cycle,
             "newton_iterations": state.newton_iterations,
             "W_ref": state.W_ref,
@@ -152,11 +153,9 @@ class HealingCycle(Generic[H]):
 
     def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> TissueState[H]:
         """Return the state that ``pack`` stored, to the bit."""
-        prefix = "healing."
-        own = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
         return TissueState(
             scalars["cycle"],
-            self.healing.unpack(own, scalars["healing"]),
+            self.healing.unpack(part("healing", arrays), scalars["healing"]),
             arrays["x"],
             scalars["newton_iterations"],
             scalars["W_ref"],

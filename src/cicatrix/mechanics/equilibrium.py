@@ -11,6 +11,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError
+from ..core.named import part
 from ..numerics.linear import Engine, LinearSolver
 from ..numerics.newton import NewtonReport, minimise, newton, ramp
 from .body import Body, Discretization, VolumeRates
@@ -86,11 +87,9 @@ class Equilibrium:
         """Replace all factors by those saved with ``state_arrays``, so that later solves are bitwise identical."""
         self.reset()
         for in_plane in (False, True):
-            prefix = f"{int(in_plane)}."
-            part = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
-            if part:
+            if stored := part(str(int(in_plane)), arrays):
                 self._linear[in_plane] = LinearSolver(self._on)
-                self._linear[in_plane].restore(discretization.empty_matrix(in_plane), part)
+                self._linear[in_plane].restore(discretization.empty_matrix(in_plane), stored)
 
     def loaded(
         self,

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from functools import partial
 from typing import Any
 
@@ -44,7 +44,7 @@ def drive(
     """
     ranks, kind = ranks or Ranks(), kind.of(case)
     checkpoint = ranks.share(folder.checkpoint if folder else None)
-    with _stage(progress, kind.building):
+    with progress.stage(kind.building) if kind.building else nullcontext():
         simulation = kind(case, Context(progress, ranks, checkpoint))
     writer = _Writer(simulation, folder, progress) if folder else None
     if checkpoint is None:
@@ -194,12 +194,3 @@ class _Writer:
         for sentence in self.simulation.notes:
             self.folder.note(sentence)
         self.simulation.notes.clear()
-
-
-@contextmanager
-def _stage(progress: Progress, name: str) -> Iterator[None]:
-    if name:
-        with progress.stage(name):
-            yield
-    else:
-        yield

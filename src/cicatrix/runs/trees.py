@@ -18,14 +18,3 @@ def unpacked_tree(form: Any, arrays: Mapping[str, np.ndarray]) -> Any:
     """Return a pytree with the structure of ``form`` and the leaves in ``arrays``, as named by ``packed_tree``."""
     structure = jax.tree.structure(form)
     return jax.tree.unflatten(structure, [arrays[f"leaf.{number}"] for number in range(structure.num_leaves)])
-
-
-def prefixed(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Return the arrays by new names, to which a prefix and a dot are prepended."""
-    return {f"{prefix}.{name}": array for name, array in arrays.items()}
-
-
-def part(prefix: str, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Select the arrays whose names start with a prefix and a dot, and remove the prefix from their names."""
-    start = f"{prefix}."
-    return {name.removeprefix(start): array for name, array in arrays.items() if name.startswith(start)}

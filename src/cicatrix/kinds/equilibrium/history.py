@@ -10,6 +10,7 @@ import jax
 import numpy as np
 
 from ...core.errors import ConvergenceError
+from ...core.named import part, prefixed
 from ...core.units import acceleration_mm_s2, days_from_seconds, hours_from_seconds, ml_from_mm3
 from ...mechanics.body_integration import BodyState, Load, initial_state, integrate
 from ...mechanics.equilibrium import Equilibrium
@@ -17,7 +18,7 @@ from ...numerics.compiler import COMPILER
 from ...numerics.newton import NewtonReport
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
 from ...runs.quantity import Quantity
-from ...runs.trees import packed_tree, part, prefixed, unpacked_tree
+from ...runs.trees import packed_tree, unpacked_tree
 from .build import displaced_positions, doubt_of, given_and_body, load_steps
 from .case import EquilibriumCase
 from .figures import history_figure, shape_figure

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...core.named import part, prefixed
 from ...coupling.cycle import HealingCycle, run
 from ...coupling.healing import TissueState
 from ...files.pictures import picture
@@ -16,7 +17,6 @@ from ...numerics.newton import NewtonReport
 from ...outcome.closure import middle_layer, wound_centre
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation, SurfaceData
 from ...runs.quantity import Quantity
-from ...runs.trees import part, prefixed
 from .anatomy import anatomy_of
 from .body import Anatomy, BreastModel
 from .build import breast_model, breast_model_from_arrays, equilibrium_of, healing_cycle, imaged_in
