@@ -8,7 +8,8 @@ import pytest
 from cicatrix.core.errors import ConvergenceError
 from cicatrix.materials.growth import NaturalConfiguration
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
-from cicatrix.mechanics.equilibrium import Equilibrium, _Problem
+from cicatrix.mechanics.equilibrium import Equilibrium
+from cicatrix.mechanics.problem import Problem
 from cicatrix.numerics.linear import LinearSolver
 from cicatrix.numerics.newton import NewtonReport, newton
 
@@ -50,7 +51,7 @@ def test_newton_is_quadratic(block):
     """Near the solution each residual is at most a constant times the square of the one before (theory)."""
     X = block.discretization.space.positions
     solver, norms = LinearSolver(), []
-    problem = _Problem(block, X, X, PRONE, PRONE)
+    problem = Problem(block, X, X, PRONE, PRONE)
 
     def residual(values):
         r = problem.free_part(block.residual(X, problem.positions(values), PRONE))
@@ -77,7 +78,7 @@ def test_downhill_finds_the_same_shape(block, loaded):
     """Damped minimisation of the potential and Newton agree where both converge."""
     X = block.discretization.space.positions
     report = NewtonReport()
-    x = Equilibrium(1e-9)._minimise(_Problem(block, X, X, PRONE, PRONE), report)
+    x = Equilibrium(1e-9)._minimise(Problem(block, X, X, PRONE, PRONE), report)
     np.testing.assert_allclose(x, loaded[0], rtol=0, atol=1e-6)
     assert block.potential(X, x, PRONE) < block.potential(X, X, PRONE)
 

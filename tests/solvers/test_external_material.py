@@ -15,9 +15,10 @@ from cicatrix.materials.external import ExternalMaterial
 from cicatrix.materials.material import Material
 from cicatrix.mechanics import body as bodies
 from cicatrix.mechanics.body_integration import Load, initial_state, integrate
-from cicatrix.mechanics.equilibrium import Equilibrium, _Problem
+from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.point import control
 from cicatrix.mechanics.point_integration import instants, integrate_all
+from cicatrix.mechanics.problem import Problem
 from cicatrix.numerics.linear import LinearSolver
 from cicatrix.numerics.newton import NewtonReport, newton
 
@@ -94,7 +95,7 @@ def norms_of_newton(body):
     """Residual over weight in Newton's method with exact linear solves, from near the answer."""
     X = body.discretization.space.positions
     solver, norms = LinearSolver(), []
-    problem = _Problem(body, X, X, GRAVITY, GRAVITY)
+    problem = Problem(body, X, X, GRAVITY, GRAVITY)
 
     def residual(values):
         r = problem.free_part(body.residual(X, problem.positions(values), GRAVITY))

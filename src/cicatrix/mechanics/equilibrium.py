@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
-import scipy.sparse as sp
 
 from ..core.errors import ConvergenceError
 from ..core.named import part
 from ..numerics.linear import Engine, LinearSolver
 from ..numerics.newton import NewtonReport, minimise, newton, ramp
-from .body import Body, Discretization, VolumeRates
-from .pullback import Pullback
-from .supports import Supports
+from .body import Body, Discretization
+from .failure import MAX_UNKNOWNS, NoEquilibriumError, buckling_share, explanation
+from .problem import Problem
 
 SMALLEST_STEP = 0.25  # smallest load step, as a fraction of the load; below it, minimising the energy is cheaper
 REUSE_BELOW = 0.05  # under gravity alone, reuse the tangent if the last step reduced the residual below this fraction
 MAX_FORCING = 1e-2  # largest relative tolerance of a linear solve in Newton's method
 LINEAR_TOLERANCE = 1e-6  # relative tolerance of all other linear solves
-FD_STEP = 1e-6  # finite-difference step, relative to body size
 ZERO_DISPLACEMENT = 1e-13  # displacements below this, relative to body size, are round-off
 RIGID_MOTION_WEIGHT = 1e-6  # weight in the load scale of the forces that move the supports alone, for rigid motions
 SADDLE_PERTURBATION = 1e-4  # perturbation at a saddle point, relative to body size
+BEFORE_BUCKLING = 0.8  # where a shape is kept, on the way from the last one to the load at which the body buckles
 MAX_SADDLES = 6  # largest number of saddle points that a minimisation may leave
 
 
@@ -125,12 +124,12 @@ class Equilibrium:
 
         Raises
         ------
-        ConvergenceError
-            If no equilibrium is found, with the history of all attempts.
+        NoEquilibriumError
+            If no equilibrium is found: the likely cause, the history of all attempts, and the last stable shape.
         """
         report = NewtonReport(tell=self.tell)
         at_rest = X if start is None else np.where(body.active_nodes[:, None], X, start)
-        problem = _Problem(body, X, at_rest, gravity, gravity)
+        problem = Problem(body, X, at_rest, gravity, gravity)
         problem = replace(
             problem,
             other_loads_norm=np.hypot(problem.pressure_load_norm, self._reaction(problem, prescribed_positions)),
@@ -159,15 +158,29 @@ class Equilibrium:
                 return ramp(path.advance, path.reached, report, **steps), report
             except ConvergenceError as error:
                 if number == len(paths) - 1 and not body.has_potential:
-                    raise ConvergenceError(str(error), report.history) from error
+                    raise self._no_equilibrium(problem, by_load, report, []) from error
         report.history.append("minimising the potential energy from there")
         try:
             last = self._predicted(replace(problem, x=paths[-1][1].reached), 1.0, prescribed_positions)
             return self._minimise(last, report), report
         except ConvergenceError as error:
-            raise ConvergenceError(str(error), report.history + error.history) from error
+            raise self._no_equilibrium(problem, by_load, report, error.history) from error
 
-    def _predicted(self, problem: _Problem, share: float, prescribed_positions: np.ndarray | None) -> _Problem:
+    def _no_equilibrium(
+        self, problem: Problem, by_load: _Path, report: NewtonReport, last_lines: list[str]
+    ) -> NoEquilibriumError:
+        """Return the error for a body without equilibrium under the whole load, with its cause and its last stable shape."""
+        history, again, critical = report.history + last_lines, NewtonReport(tell=self.tell), None
+        if problem.supports.n_unknowns <= MAX_UNKNOWNS:
+            with contextlib.suppress(ConvergenceError):  # it fails again; what counts is how far it comes
+                ramp(by_load.advance, by_load.reached, again, start=by_load.share, smallest=SMALLEST_STEP / 16)
+            critical = buckling_share(problem, by_load.reached, by_load.share)
+        if critical is not None:
+            with contextlib.suppress(ConvergenceError):
+                by_load.advance(by_load.reached, by_load.share + BEFORE_BUCKLING * (critical - by_load.share))
+        return _failure(problem, by_load, critical, history)
+
+    def _predicted(self, problem: Problem, share: float, prescribed_positions: np.ndarray | None) -> Problem:
         """Return the problem with a better initial guess for a fraction ``share`` of the prescribed displacement.
 
         Constrained nodes are moved to their prescribed positions, and all others by the linearised response.
@@ -187,7 +200,7 @@ class Equilibrium:
         )
         return replace(problem, x=problem.positions(start + followed) + displacement)
 
-    def _reaction(self, problem: _Problem, prescribed_positions: np.ndarray | None) -> float:
+    def _reaction(self, problem: Problem, prescribed_positions: np.ndarray | None) -> float:
         """Return the norm of the support forces for the full displacement of constrained nodes, to first order [mN]."""
         if prescribed_positions is None:
             return 0.0
@@ -196,7 +209,7 @@ class Equilibrium:
         norms = [float(np.linalg.norm(problem.directional_derivative(moved))) for moved in (followed, displacement)]
         return norms[0] + RIGID_MOTION_WEIGHT * norms[1]
 
-    def _homotopy(self, problem: _Problem, report: NewtonReport) -> _Path:
+    def _homotopy(self, problem: Problem, report: NewtonReport) -> _Path:
         """Return the path that starts at the initial guess of the problem and along which the residual is reduced to zero."""
 
         def advance(x: np.ndarray, share: float) -> np.ndarray:
@@ -221,19 +234,26 @@ class Equilibrium:
 
         Raises
         ------
-        ConvergenceError
-            If no equilibrium is found, with the history of all attempts.
+        NoEquilibriumError
+            As for ``loaded``; its shape is an unloaded one.
         """
         report = NewtonReport(tell=self.tell)
 
         def advance(X: np.ndarray, factor: float) -> np.ndarray:
-            problem = _Problem(body, x, X, gravity, gravity, inverse=True)
+            problem = Problem(body, x, X, gravity, gravity, inverse=True)
             return self._newton(
                 replace(problem, other_loads_norm=problem.pressure_load_norm).with_load_share(factor, X), report
             )
 
-        X = ramp(advance, x, report, max_iterations=300)  # slender breasts sag far and need many small steps
-        problem = _Problem(body, X, x, gravity, gravity)
+        by_load = _Path(x, advance)
+        try:
+            X = ramp(
+                by_load.advance, x, report, max_iterations=300
+            )  # slender breasts sag far and need many small steps
+        except ConvergenceError as error:
+            problem = Problem(body, x, by_load.reached, gravity, gravity, inverse=True)
+            raise _failure(problem, by_load, None, report.history) from error
+        problem = Problem(body, X, x, gravity, gravity)
         if problem.is_symmetric:
             tangent = problem.linearised(problem.unknowns(x), body.volume_ratio(X, x))
             report.is_stable = self._solver(problem).is_definite(tangent.matrix)
@@ -241,7 +261,7 @@ class Equilibrium:
             report.history.append("the known shape is not a stable equilibrium: loading again gives another shape")
         return X, report
 
-    def _newton(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
+    def _newton(self, problem: Problem, report: NewtonReport) -> np.ndarray:
         """Solve by Newton's method for positions and volume ratios J_bar; return the positions (n_nodes, 3) [mm].
 
         The volume ratios are eliminated element by element.
@@ -280,7 +300,7 @@ class Equilibrium:
         _check_elements(body, *problem.shapes(z[:n]))
         return problem.positions(z[:n])
 
-    def _minimise(self, problem: _Problem, report: NewtonReport) -> np.ndarray:
+    def _minimise(self, problem: Problem, report: NewtonReport) -> np.ndarray:
         """Minimise the potential energy, with random perturbations at saddle points; return positions (n_nodes, 3) [mm]."""
         body, solver = problem.body, LinearSolver(self._on)
 
@@ -315,17 +335,10 @@ class Equilibrium:
         _check_elements(body, *problem.shapes(values))
         return problem.positions(values)
 
-    def _solver(self, problem: _Problem) -> LinearSolver:
+    def _solver(self, problem: Problem) -> LinearSolver:
         if problem.in_plane not in self._linear:
             self._linear[problem.in_plane] = LinearSolver(self._on)
         return self._linear[problem.in_plane]
-
-
-def _symmetric_part(matrix: sp.bsr_array) -> sp.bsr_array:
-    """Return the symmetric part of a matrix with symmetric sparsity pattern; the pattern is kept, with explicit zeros."""
-    turned = sp.bsr_array(matrix.T, blocksize=matrix.blocksize)
-    turned.sort_indices()
-    return sp.bsr_array((0.5 * (matrix.data + turned.data), matrix.indices, matrix.indptr), shape=matrix.shape)
 
 
 def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
@@ -339,18 +352,24 @@ def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
         )
 
 
+def _failure(problem: Problem, by_load: _Path, critical: float | None, history: list[str]) -> NoEquilibriumError:
+    cause, remedy = explanation(problem, by_load.share, critical, history)
+    return NoEquilibriumError(cause, remedy, history, by_load.reached, by_load.share)
+
+
 class _Path:
-    """Sequence of problems that ends at the required equilibrium; ``reached`` is the last solution.
+    """Sequence of problems that ends at the required equilibrium; ``reached`` is the last solution, ``share`` its place.
 
     ``advance(x, share)`` solves the problem at a fraction ``share`` of the path, starting from x (n_nodes, 3) [mm].
     """
 
     def __init__(self, start: np.ndarray, advance: Callable[[np.ndarray, float], np.ndarray]) -> None:
-        self.reached, self._advance = start, advance
+        self.reached, self.share, self._advance = start, 0.0, advance
 
     def advance(self, x: np.ndarray, share: float) -> np.ndarray:
         """Solve at a fraction ``share`` of the path, starting from x; return and store the solution, both (n_nodes, 3) [mm]."""
         self.reached = self._advance(x, share)
+        self.share = share
         return self.reached
 
 
@@ -396,154 +415,3 @@ class _FrozenTangent:
         forcing = np.clip(exactly, 0.1 * self._tolerance / norm, MAX_FORCING)
         self._norm = norm
         return self.value, float(forcing)
-
-
-@dataclass(frozen=True, eq=False)
-class _Problem:
-    """Equations of equilibrium of a body, which determine its loaded shape from the unloaded one, or the reverse.
-
-    Parameters
-    ----------
-    body : Body
-        Tissue, skin, supports and pressure, the pressure at the current fraction of the load.
-    X : (n_nodes, 3) array [mm]
-        Positions in the known shape: the unloaded one, or the loaded one if ``inverse``.
-    x : (n_nodes, 3) array [mm]
-        Initial guess of the positions in the unknown shape.
-    gravity, full : (3,) arrays [mm/s^2]
-        Acceleration at the current fraction of the load, and at full load.
-    residual_offset : (n_unknowns,) array [mN/mm] or 0
-        Value that the residual must reach; it is reduced to zero in steps.
-    inverse : bool
-        If True, solve for the unloaded shape.
-    other_loads_norm : float [mN]
-        Norm of the loads other than gravity, at full load.
-    """
-
-    body: Body
-    X: np.ndarray
-    x: np.ndarray
-    gravity: np.ndarray
-    full: np.ndarray
-    residual_offset: np.ndarray | float = 0.0
-    inverse: bool = False
-    other_loads_norm: float = 0.0
-
-    @property
-    def in_plane(self) -> bool:
-        """True for a section without gravity along its normal, whose unknowns are the in-plane components only."""
-        return self.body.discretization.space.n_axes == 2 and bool(self.full[2] == 0.0)
-
-    @property
-    def supports(self) -> Supports:
-        """Map between the nodal degrees of freedom and the unknowns of the equations."""
-        return self.body.discretization.supports(self.in_plane)
-
-    def with_load_share(self, share: float, x: np.ndarray) -> _Problem:
-        """Return the problem under a fraction ``share`` of the loads, with initial guess x."""
-        return replace(self, body=self.body.with_pressure_share(share), x=x, gravity=share * self.full)
-
-    @property
-    def pressure_load_norm(self) -> float:
-        """Euclidean norm of the nodal forces that the pressure exerts on the known shape [mN]; 0 without pressure."""
-        if self.body.pressure is None:
-            return 0.0
-        return float(np.linalg.norm(self.free_part(self.body.residual(self.X, self.X, np.zeros(3)))))
-
-    def directional_derivative(self, direction: np.ndarray) -> np.ndarray:
-        """Return the directional derivative of the residual along ``direction`` (n_nodes, 3) [mm] -> (n_nodes, 3) [mN]."""
-        step = FD_STEP * np.ptp(self.X, axis=0).max() / max(np.abs(direction).max(), 1e-300)
-        there, back = (self.body.residual(self.X, self.x + s * direction, self.gravity) for s in (step, -step))
-        return (there - back) / (2.0 * step)
-
-    @cached_property
-    def weight(self) -> float:
-        """Euclidean norm of the nodal weights and other loads at full load [mN/mm], to which the residual is compared."""
-        mass = self.body.lumped_mass(self.X)
-        return float(np.hypot(np.linalg.norm(mass) * max(np.linalg.norm(self.full), 1.0), self.other_loads_norm))
-
-    @cached_property
-    def volume_ratios(self) -> np.ndarray:
-        """Initial guess of J_bar: volume ratios of the shape x, clipped to near stress-free (n_elements, n_qp) [1]."""
-        return self.body.initial_volume_ratio(*self._ordered(self.x))
-
-    @cached_property
-    def out_of_balance(self) -> np.ndarray:
-        """Residual at the initial guess x, for the unknowns (n_unknowns,) [mN/mm]."""
-        return self.free_part(self.body.residual(*self._ordered(self.x), self.gravity, self.volume_ratios))
-
-    def positions(self, values: np.ndarray) -> np.ndarray:
-        """Return the positions of all nodes from the unknowns: (n_unknowns,) -> (n_nodes, 3) [mm]."""
-        return self.supports.positions(values, self.x)
-
-    def unknowns(self, x: np.ndarray) -> np.ndarray:
-        """Return the unknowns that correspond to positions x: (n_nodes, 3) [mm] -> (n_unknowns,)."""
-        return self.supports.unknowns(x)
-
-    def shapes(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the unloaded and the loaded positions from the unknowns: (n_unknowns,) -> two (n_nodes, 3) [mm]."""
-        return self._ordered(self.positions(values))
-
-    def _ordered(self, unknown: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return (unknown, self.X) if self.inverse else (self.X, unknown)
-
-    @property
-    def is_symmetric(self) -> bool:
-        """True if the tangent matrix is symmetric: the forces derive from a potential, and the loaded shape is the unknown."""
-        return not self.inverse and self.body.has_potential
-
-    def linearised(self, values: np.ndarray, J_bar: np.ndarray, damping: float = 0.0) -> _Tangent:
-        """Return the linearisation of the residual with respect to the unknown shape and the volume ratios J_bar.
-
-        It is evaluated at the unknowns ``values`` (n_unknowns,) and J_bar (n_elements, n_qp) [1]; ``damping`` times the nodal
-        mass is added to its diagonal if the loaded shape is the unknown.
-        """
-        shapes, in_plane = self.shapes(values), self.in_plane
-        if self.inverse:
-            matrix, rates = self.body.linearised_reference(*shapes, J_bar, self.gravity, in_plane=in_plane)
-            pullback = Pullback.unloaded(self.body, *shapes)
-        else:
-            matrix, rates = self.body.linearised(*shapes, J_bar, in_plane=in_plane, damping=damping)
-            pullback = Pullback.loaded(self.body, shapes[1])
-
-        def near() -> sp.bsr_array:
-            """Return the symmetric part of the tangent with respect to loaded positions, without pressure."""
-            body = replace(self.body, pressure=None)
-            matrix, _ = body.linearised(*shapes, J_bar, in_plane=in_plane)
-            if not body.has_potential:
-                matrix = _symmetric_part(matrix)
-            return self._pulled_back(matrix, Pullback.loaded(body, shapes[1]))
-
-        return _Tangent(self._pulled_back(matrix, pullback), rates, pullback, self, None if self.is_symmetric else near)
-
-    def _pulled_back(self, matrix: sp.bsr_array, pullback: Pullback) -> sp.bsr_array:
-        return self.supports.matrix(pullback.matrix(matrix, self.body.discretization.free_nodes))
-
-    def free_part(self, forces: np.ndarray) -> np.ndarray:
-        """Restrict nodal forces to the unknowns, with 0 at nodes without tissue: (n_nodes, 3) -> (n_unknowns,)."""
-        return self.supports.unknowns(np.where(self.body.active_nodes[:, None], forces, 0.0))
-
-    def spread(self, values: np.ndarray) -> np.ndarray:
-        """Expand values of the unknowns to nodal vectors, with 0 in constrained components: (n_unknowns,) -> (n_nodes, 3)."""
-        return self.supports.positions(values, np.zeros_like(self.X))
-
-
-class _Tangent(NamedTuple):
-    """Linearised equations of equilibrium about a shape, in the variables of :class:`.pullback.Pullback`."""
-
-    matrix: sp.bsr_array
-    """Matrix of the linear system after the change of variables (n_unknowns, n_unknowns)."""
-    rates: VolumeRates
-    """Coupling of the positions to the volume ratios J_bar."""
-    pullback: Pullback
-    """Change of variables that gives ``matrix``."""
-    problem: _Problem
-    near: Callable[[], sp.bsr_array] | None
-    """Function that returns a symmetric matrix close to ``matrix``, for the preconditioner; None if ``matrix`` is symmetric."""
-
-    def solve(self, solver: LinearSolver, forces: np.ndarray, tolerance: float) -> np.ndarray:
-        """Solve K du = forces to a relative tolerance, with K in the original variables: forces, du (n_unknowns,)."""
-        problem, (right, left) = self.problem, (self.pullback.right, self.pullback.left)
-        rhs = problem.supports.unknowns((left @ problem.spread(forces)[..., None])[..., 0])
-        found = solver.solve(self.matrix, rhs, tolerance, self.near)
-        return problem.supports.unknowns((right @ problem.spread(found)[..., None])[..., 0])

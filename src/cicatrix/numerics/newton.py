@@ -178,9 +178,10 @@ def ramp(
     report: NewtonReport,
     smallest: float = 1.0 / 512.0,
     first: float = 1.0,
+    start: float = 0.0,
     max_iterations: int = 120,
 ) -> np.ndarray:
-    """Increase a load factor from 0 to 1 in adaptive steps, and return the solution at 1.
+    """Increase a load factor from ``start`` to 1 in adaptive steps, and return the solution at 1; x is the solution at ``start``.
 
     ``advance(x, factor)`` returns the solution at that factor or raises ConvergenceError. A failed step is halved; after
     the second success in a row and each further one, the step is doubled.
@@ -191,7 +192,7 @@ def ramp(
         If the step becomes smaller than ``smallest``, or the maximum number of iterations is reached; with the history of all
         attempts.
     """
-    reached, size, streak = 0.0, first, 0
+    reached, size, streak = start, first, 0
     while reached < 1.0:
         target = min(1.0, reached + size)
         try:

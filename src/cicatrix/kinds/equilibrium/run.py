@@ -16,6 +16,7 @@ from ...core.ranks import Ranks
 from ...core.units import acceleration_mm_s2, ml_from_mm3
 from ...mechanics.division import layout_of, shared
 from ...mechanics.equilibrium import Equilibrium
+from ...mechanics.failure import NoEquilibriumError, percent
 from ...numerics.krylov import PetscEngine
 from ...numerics.newton import NewtonReport
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
@@ -35,6 +36,8 @@ class EquilibriumState(NamedTuple):
     """Nodes of the loaded shape, or of the unloaded one if the case is an inverse problem (n_nodes, 3) [mm]."""
     report: NewtonReport | None = None
     factorizations: int = 0
+    share: float = 1.0
+    """Share of the load under which the shape is in equilibrium [1]; below 1 if none was found under the whole load."""
 
 
 class EquilibriumRun(Simulation[EquilibriumState]):
@@ -64,10 +67,18 @@ class EquilibriumRun(Simulation[EquilibriumState]):
             return
         try:
             state = self._solved()
-        except ConvergenceError as error:
-            raise ConvergenceError(f"{error} {doubt_of(self.given.points)}".rstrip(), error.history) from error
+        except NoEquilibriumError as error:
+            words = [str(error), doubt_of(self.given.points)]
+            if error.share > 0.0:  # recorded by the driver, although the integration ends here
+                yield EquilibriumState(error.positions, NewtonReport(), 0, error.share)
+                words.append(f"The last stable shape, under {percent(error.share)} of the load, is in fields.")
+            raise ConvergenceError(" ".join(word for word in words if word), error.history) from error
         self.notes += [*_how(self.case, self.context.ranks), *state.report.history]
         yield state
+
+    def is_mark(self, state: EquilibriumState) -> bool:
+        """Return whether the state carries the whole load."""
+        return state.share == 1.0
 
     def _solved(self) -> EquilibriumState:
         """Solve for equilibrium on all ranks together; every rank returns all node positions."""
@@ -132,8 +143,8 @@ class EquilibriumRun(Simulation[EquilibriumState]):
         return EquilibriumState(arrays["positions"], NewtonReport(**scalars["report"]), scalars["factorizations"])
 
     def done(self, state: EquilibriumState) -> tuple[float, str]:
-        """Return whether the solution is found."""
-        return float(state.report is not None), ""
+        """Return the share of the load that is in equilibrium."""
+        return state.share if state.report else 0.0, ""
 
     def outcome(self, end: End[EquilibriumState]) -> dict[str, Quantity]:
         """Return displacement, energy, volume and mass, and the solver's effort."""
