@@ -46,6 +46,9 @@ class Cavity:
         Tissue before surgery, and the tissue that grows in the cavity.
     contraction : float [kPa]
         Active tension of new tissue.
+    contents : float [1]
+        What fills the empty cavity: stiffness and weight of its elements without tissue, relative to scar. 0: a void, whose
+        walls may pass through each other.
     """
 
     intact: Body
@@ -54,6 +57,7 @@ class Cavity:
     tissue: Tissue
     scar: Tissue
     contraction: float = 0.0
+    contents: float = 0.0
 
     @cached_property
     def density(self) -> np.ndarray:
@@ -71,9 +75,9 @@ class Cavity:
 
         Tissue fractions ``filled`` (n_elements,) [1], natural configuration (n_elements, n_qp, 3, 3) [1]. Stiffness and weight
         of an element are scaled by its tissue fraction. Elements below ``MIN_FILLED`` are left out, and so is an element that
-        touches the rest at a corner only, because it could rotate freely.
+        touches the rest at a corner only, because it could rotate freely; with ``contents``, these have that fraction instead.
         """
-        fraction = np.where(self._supported(filled >= MIN_FILLED), filled, 0.0)
+        fraction = np.where(self._supported(filled >= MIN_FILLED), filled, np.where(self.elements, self.contents, 0.0))
         is_new = self.elements[:, None]
         elastic = NeoHookean(
             np.where(is_new, self.scar.mu, self.tissue.mu), np.where(is_new, self.scar.kappa, self.tissue.kappa)

@@ -14,7 +14,7 @@ from ...geometry.labels import TISSUES, Label
 from ...geometry.volume import Volume
 from ...materials.neo_hookean import NeoHookean, moduli_from_young
 from ...mechanics.body import Body, Discretization
-from ...mechanics.elements import meshed_wrinkling_strain, wrinkling_strain
+from ...mechanics.elements import meshed_wrinkling_strain
 from ...mechanics.space import SolidSpace, Space
 from ...outcome.change import ShapeChange
 from .case import LumpectomyCase, TissueTable
@@ -118,6 +118,13 @@ class BreastModel(ABC):
     def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
         """Measure the change of shape between two loaded shapes (n_nodes, 3) [mm]."""
 
+    @property
+    def clipped_share(self) -> float:
+        """Share of the resection's disc (section) or ball that the cavity does not have [1]."""
+        removed = float(self.intact.volumes(self.x_imaged)[self.cavity].sum())
+        n_axes = self.intact.discretization.space.n_axes
+        return 1.0 - removed / (np.pi * self.radius_mm**2 * (1.0 if n_axes == 2 else 4.0 / 3.0 * self.radius_mm))
+
     @abstractmethod
     def margin_mm(self, anatomy: Anatomy) -> float:
         """Compute the smallest distance from the labelled tumour to the edge of the resection [mm]; inf without tumour."""
@@ -194,9 +201,7 @@ def intact_body(case: LumpectomyCase, discretization: Discretization, tissue: Ti
 def _wrinkling_strain(case: LumpectomyCase, discretization: Discretization) -> float:
     """Return the compressive strain at which skin on fat wrinkles, reduced where the mesh would resolve the wrinkles [1]."""
     skin, below = case.tissue.skin, case.tissue.fat.E_kPa
-    if isinstance(discretization.space, Space):
-        return wrinkling_strain(skin.E_kPa, below)
-    corners = discretization.space.positions[discretization.skin_nodes[:, :3]]
+    corners = discretization.space.positions[discretization.skin_nodes[:, : discretization.space.n_axes]]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     return meshed_wrinkling_strain(skin.E_kPa, below, skin.thickness_mm, float(edges.min(initial=np.inf)))
 

@@ -24,6 +24,8 @@ from .section import section_from_arrays, section_model
 from .sites import box_around, too_many
 from .solid import solid_from_arrays, solid_model
 
+CLOT_KPA = 0.01  # shear modulus of clot and wound fluid, assumed: a hundredth of fat's, enough to keep walls apart
+
 
 class HealingFactory(Protocol):
     """Function that builds the wound-healing model named in a case, on the mesh of a breast."""
@@ -110,11 +112,17 @@ def _places(lattice: Lattice) -> np.ndarray:
 
 
 def healing_cycle(
-    case: LumpectomyCase, model: BreastModel, X: np.ndarray, x_intact: np.ndarray, equilibrium: Equilibrium
+    case: LumpectomyCase,
+    model: BreastModel,
+    X: np.ndarray,
+    x_intact: np.ndarray,
+    equilibrium: Equilibrium,
+    has_clot: bool = False,
 ) -> HealingCycle[Any]:
     """Build the cycle that alternates between mechanical equilibrium and the wound-healing model named in the case.
 
-    X, x_intact (n_nodes, 3) [mm]: unloaded shape, and loaded shape in the healing position, of the intact body.
+    X, x_intact (n_nodes, 3) [mm]: unloaded shape, and loaded shape in the healing position, of the intact body. With
+    ``has_clot`` the fresh cavity is filled with clot, instead of being empty.
 
     Raises
     ------
@@ -122,7 +130,8 @@ def healing_cycle(
         If the lattice does not fit into memory, or the model's keys do not fit together.
     """
     ruler = ruler_on(case, model, X)
-    cavity = Cavity(model.intact, X, model.cavity, model.tissue, model.scar, case.healing.contraction_kPa)
+    contents = CLOT_KPA / float(model.scar.mu) if has_clot else 0.0
+    cavity = Cavity(model.intact, X, model.cavity, model.tissue, model.scar, case.healing.contraction_kPa, contents)
     healing = MODELS[case.healing.model](case, model, cavity, ruler, equilibrium.tell)
     gravity = model.gravity(case.coupling.healing_position)
     return HealingCycle(cavity, x_intact, gravity, ruler, healing, equilibrium, case.coupling.days_per_cycle)

@@ -55,7 +55,7 @@ def last_figures(
         }
 
     if isinstance(model, SolidModel):
-        pairs = {p: (shapes[p, BEFORE], shapes[p, HEALED]) for p in case.outcome.positions}
+        pairs = {p: (shapes[p, BEFORE], shapes[p, HEALED]) for p in _solved(case, shapes)}
         return own | {
             "closure": lambda: figures_solid.closure_figure(model, cycle.ruler, fronts, rows, mode),
             "surface": lambda: figures_solid.surface_figure(model, pairs, closing_word(state), case.image.side),
@@ -99,8 +99,15 @@ def _view(model: BreastModel, x: np.ndarray) -> View:
 
 def _outlines(case: LumpectomyCase, model: SectionModel, shapes: Shapes) -> Figure:
     moments = [BEFORE, FRESH, *(visit_name(w) for w in case.outcome.visits_weeks), HEALED]
-    named = {p: [(m, shapes[p, m]) for m in moments if (p, m) in shapes] for p in case.outcome.positions}
-    return figures.outline_figure(model, named, {p: shapes[p, HEALED] for p in case.outcome.positions})
+    solved = _solved(case, shapes)
+    named = {p: [(m, shapes[p, m]) for m in moments if (p, m) in shapes] for p in solved}
+    return figures.outline_figure(model, named, {p: shapes[p, HEALED] for p in solved})
+
+
+def _solved(case: LumpectomyCase, shapes: Shapes) -> list[str]:
+    """Return the positions asked for in which an equilibrium of the healed body was found; else that in which it healed."""
+    found = [position for position in case.outcome.positions if (position, HEALED) in shapes]
+    return found or [case.coupling.healing_position]
 
 
 def _edges(model: SectionModel, cycle: HealingCycle, pairs: Mapping[str, tuple[np.ndarray, np.ndarray]]) -> Figure:

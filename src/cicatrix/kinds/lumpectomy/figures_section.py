@@ -9,6 +9,7 @@ from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from ...coupling.cavity import MIN_FILLED
 from ...geometry.hexgrid import Lattice
 from ...geometry.labels import Label
 from ...mechanics.body import Body
@@ -71,7 +72,7 @@ def energy_figure(model: SectionModel, panels: Mapping[str, tuple[np.ndarray, np
 
 def energy_panel(body: Body, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return the data of a panel of ``energy_figure``: positions x, mean energy density [kPa] and whether there is tissue."""
-    return x, body.energy_density(X, x).mean(axis=1), body.fraction > 0.0
+    return x, body.energy_density(X, x).mean(axis=1), body.fraction >= MIN_FILLED
 
 
 def edge_figure(profiles: Mapping[str, tuple[tuple[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]]) -> Figure:

@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...core.errors import ConvergenceError
 from ...core.named import part, prefixed
-from ...coupling.cycle import HealingCycle, run
+from ...coupling.cycle import HealingCycle
 from ...coupling.healing import TissueState
 from ...files.pictures import picture
 from ...geometry.volume import Volume
 from ...mechanics.body import Body, mean_energy
+from ...mechanics.failure import NoEquilibriumError
 from ...numerics.newton import NewtonReport
 from ...outcome.closure import middle_layer, wound_centre
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation, SurfaceData
 from ...runs.quantity import Quantity
 from .anatomy import anatomy_of
-from .body import Anatomy, BreastModel
-from .build import breast_model, breast_model_from_arrays, equilibrium_of, healing_cycle, imaged_in
+from .body import MIN_SKIN_FLAP_MM, Anatomy, BreastModel
+from .build import CLOT_KPA, breast_model, breast_model_from_arrays, equilibrium_of, healing_cycle, imaged_in
 from .case import LumpectomyCase
 from .figures import BEFORE, FRESH, HEALED, first_figure, last_figures
 from .solid import SolidModel
@@ -45,6 +48,24 @@ class BreastState(NamedTuple):
     """Open sites after each cycle; for a solid, only in one layer of the lattice."""
     rows: tuple[dict, ...] = ()
     """Rows of the history."""
+    has_clot: bool = False
+    """Whether the empty part of the cavity is filled with clot."""
+
+
+REMEDY = "Give stiffer tissue ([tissue]), a smaller resection or another position, or a finer mesh ([mesh])."
+CLIPPED_SHARE = (
+    0.01  # share of the resection that must be left in place to be mentioned; meshing changes its size by 0.3 %
+)
+
+
+@contextmanager
+def _named(what: str) -> Iterator[None]:
+    """Name the stage, the position and what to change in the sentence of a solve that fails."""
+    try:
+        yield
+    except ConvergenceError as error:
+        why = f"{error.cause} {REMEDY}" if isinstance(error, NoEquilibriumError) else str(error)
+        raise ConvergenceError(f"{what[0].upper()}{what[1:]}: {why}", error.history) from error
 
 
 class LumpectomyRun(Simulation[BreastState]):
@@ -70,6 +91,11 @@ class LumpectomyRun(Simulation[BreastState]):
         with self.context.progress.stage("mesh"):
             model = breast_model(self.case, self.anatomy)
         self.notes += [*notes, *model.notes]
+        if (clipped := model.clipped_share) > CLIPPED_SHARE:
+            self.notes.append(
+                f"{100 * clipped:.0f} % of the resection is not removed: it lies outside the breast, or within "
+                f"{MIN_SKIN_FLAP_MM:g} mm of the skin or the chest wall"
+            )
         margin, wanted = model.margin_mm(self.anatomy), self.case.resection.margin_mm
         if margin < wanted:
             self.notes.append(
@@ -98,22 +124,41 @@ class LumpectomyRun(Simulation[BreastState]):
     def start(self) -> BreastState:
         """Compute the unloaded shape; return the state before surgery, with the shape under gravity in every patient position."""
         case, model, shapes = self.case, self.model, {}
-        with self.context.progress.stage("unload"):
+        with self.context.progress.stage("unload"), _named("the unloaded shape"):
             X, report = self.equilibrium.unloaded(model.intact, model.x_imaged, model.gravity(case.image.position))
             self._note_solve("unloaded shape", report)
         with self.context.progress.stage("before surgery"):
             for position in self.positions:
                 self.context.progress.update(0.0, position)
                 start = imaged_in(case, model, position)
-                x, report = self.equilibrium.loaded(model.intact, X, model.gravity(position), start)
-                self._note_solve(f"before surgery, {position}", report)
-                shapes[position, BEFORE] = x
+                x = self._reported(BEFORE, position, model.intact, X, start)
+                if x is not None:
+                    shapes[position, BEFORE] = x
         self.cycle = self._cycle(X, shapes[self.home, BEFORE])
         self.notes += self.cycle.healing.notes
         return BreastState(None, shapes, tuple(shapes), self.equilibrium.state_arrays())
 
-    def _cycle(self, X: np.ndarray, x_intact: np.ndarray) -> HealingCycle:
-        return healing_cycle(self.case, self.model, X, x_intact, self.equilibrium)
+    def _cycle(self, X: np.ndarray, x_intact: np.ndarray, has_clot: bool = False) -> HealingCycle:
+        return healing_cycle(self.case, self.model, X, x_intact, self.equilibrium, has_clot)
+
+    def _reported(
+        self, moment: str, position: str, body: Body, X: np.ndarray, start: np.ndarray | None
+    ) -> np.ndarray | None:
+        """Solve for the loaded shape of a body in one position (n_nodes, 3) [mm].
+
+        None if there is no equilibrium, which is noted, in a position that is only reported: healing takes place in another one.
+        """
+        when = "before surgery" if moment == BEFORE else moment
+        try:
+            with _named(f"{when}, {position}"):
+                x, report = self.equilibrium.loaded(body, X, self.model.gravity(position), start)
+        except ConvergenceError as error:
+            if position == self.home:
+                raise
+            self.notes.append(f"Left out: {error}")
+            return None
+        self._note_solve(f"{when}, {position}", report)
+        return x
 
     def _note_solve(self, what: str, report: NewtonReport) -> None:
         """Add a note if an equilibrium solve, described by ``what``, did not converge in its first Newton run."""
@@ -123,13 +168,40 @@ class LumpectomyRun(Simulation[BreastState]):
     def march(self, state: BreastState) -> Iterator[BreastState]:
         """Yield the state after surgery and after every cycle of healing, with the loaded shapes if a visit is due."""
         self.equilibrium.restore(self.model.intact.discretization, state.factor)
+        self._fill_cavity(state.has_clot)
         if state.tissue is None:
             with self.context.progress.stage("surgery"):
-                state = self._after(state, self.cycle.start(), [FRESH])
+                state = self._after(state, self._solved(state, f"{FRESH} cavity, {self.home}"), [FRESH])
             yield state
-        for tissue in run(self.cycle, state.tissue, last_cycle(self.case)):
-            state = self._after(state, tissue, [])
+        while state.tissue.cycle < last_cycle(self.case) and not self.cycle.is_over(state.tissue):
+            when = f"day {self.cycle.days(state.tissue.cycle + 1):g} of healing, {self.home}"
+            state = self._after(state, self._solved(state, when), [])
             yield state
+
+    def _solved(self, before: BreastState, when: str) -> TissueState:
+        """Return the state after surgery or after the next cycle; the cavity is filled with clot if the empty one collapses."""
+        try:
+            with _named(when):
+                return self._next(before)
+        except ConvergenceError as error:
+            if self.cycle.cavity.contents:
+                raise
+            self.notes.append(
+                f"{error} The empty cavity may collapse there, as contact of its walls is not modelled: from now on it is filled "
+                f"with clot and wound fluid of shear modulus {CLOT_KPA:g} kPa."
+            )
+        self.equilibrium.restore(self.model.intact.discretization, before.factor)
+        self._fill_cavity(True)
+        with _named(when):
+            return self._next(before)
+
+    def _next(self, before: BreastState) -> TissueState:
+        return self.cycle.start() if before.tissue is None else self.cycle.step(before.tissue)
+
+    def _fill_cavity(self, has_clot: bool) -> None:
+        """Fill the empty part of the cavity with clot, or empty it."""
+        if has_clot != bool(self.cycle.cavity.contents):
+            self.cycle = self._cycle(self.cycle.X, self.cycle.x_intact, has_clot)
 
     def _after(self, before: BreastState, tissue: TissueState, moments: list[str]) -> BreastState:
         """Return the state after a cycle, with the loaded shapes of the given moments and of visits in this cycle."""
@@ -137,23 +209,25 @@ class LumpectomyRun(Simulation[BreastState]):
         visits = [visit_name(weeks) for weeks, at in visit_cycles(self.case).items() if at == tissue.cycle]
         for moment in [*moments, *visits]:
             shapes |= self._visit(shapes, tissue, moment)
-        new = tuple((position, moment) for moment in [*moments, *visits] for position in self.positions)
+        new = tuple(which for which in shapes if which not in before.shapes)
         front = middle_layer(self.cycle.open_sites(tissue), wound_centre(self.cycle.ruler.open0))
         rows = (*before.rows, history_row(self.cycle, tissue))
-        return BreastState(tissue, shapes, new, self.equilibrium.state_arrays(), (*before.fronts, front), rows)
+        clot = bool(self.cycle.cavity.contents)
+        return BreastState(tissue, shapes, new, self.equilibrium.state_arrays(), (*before.fronts, front), rows, clot)
 
     def _visit(self, shapes: Shapes, tissue: TissueState, moment: str) -> dict[Which, np.ndarray]:
-        """Solve for the loaded shape in every patient position."""
-        return {(position, moment): self._shape(shapes, tissue, moment, position) for position in self.positions}
+        """Solve for the loaded shape in every patient position that had one before surgery."""
+        asked = (position for position in self.positions if (position, BEFORE) in shapes)
+        found = {(position, moment): self._shape(shapes, tissue, moment, position) for position in asked}
+        return {which: x for which, x in found.items() if x is not None}
 
-    def _shape(self, shapes: Shapes, tissue: TissueState, moment: str, position: str) -> np.ndarray:
+    def _shape(self, shapes: Shapes, tissue: TissueState, moment: str, position: str) -> np.ndarray | None:
         if position == self.home:
             return tissue.x
         body = self.cycle.body(tissue)
         start = self.cycle.extension.fill(shapes[position, BEFORE], body.fraction)
-        x, report = self.equilibrium.loaded(body, self.cycle.X, self.model.gravity(position), start)
-        self._note_solve(f"{moment}, {position}", report)
-        return self.cycle.extension.fill(x, body.fraction)
+        x = self._reported(moment, position, body, self.cycle.X, start)
+        return None if x is None else self.cycle.extension.fill(x, body.fraction)
 
     def rows(self, state: BreastState) -> tuple[Row, ...]:
         """Return the history row of the latest cycle; none before surgery."""
@@ -212,18 +286,19 @@ class LumpectomyRun(Simulation[BreastState]):
         packed |= prefixed("state", arrays)
         rows = [{k: None if v != v else v for k, v in row.items()} for row in state.rows]
         packed |= {"X": self.cycle.X, "fronts": np.packbits(np.array(state.fronts), axis=-1)}
-        return packed, {"rows": rows, "shapes": [list(which) for which in state.shapes], "state": scalars}
+        shown = [list(which) for which in state.shapes]
+        return packed, {"rows": rows, "shapes": shown, "state": scalars, "has_clot": state.has_clot}
 
     def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> BreastState:
         """Return the state in a checkpoint."""
         stored = part("shape", arrays)
         shapes = {(position, moment): stored[f"{position}.{moment}"] for position, moment in scalars["shapes"]}
-        self.cycle = self._cycle(arrays["X"], shapes[self.home, BEFORE])
+        self.cycle = self._cycle(arrays["X"], shapes[self.home, BEFORE], scalars["has_clot"])
         width = self.cycle.ruler.lattice.shape[-1]
         fronts = tuple(np.unpackbits(arrays["fronts"], axis=-1, count=width).astype(bool))
         rows = tuple({k: np.nan if v is None else v for k, v in row.items()} for row in scalars["rows"])
         tissue = self.cycle.unpack(part("state", arrays), scalars["state"])
-        return BreastState(tissue, shapes, (), part("factor", arrays), fronts, rows)
+        return BreastState(tissue, shapes, (), part("factor", arrays), fronts, rows, scalars["has_clot"])
 
     def done(self, state: BreastState) -> tuple[float, str]:
         """Return the fraction of the wound that is closed, and the day."""
@@ -237,12 +312,14 @@ class LumpectomyRun(Simulation[BreastState]):
             shapes = {**state.shapes, **self._visit(state.shapes, tissue, HEALED)}
         for weeks, at in visit_cycles(self.case).items():
             if tissue.is_closed and at > tissue.cycle:
-                shapes |= {(position, visit_name(weeks)): shapes[position, HEALED] for position in self.positions}
+                healed = {p: x for (p, moment), x in shapes.items() if moment == HEALED}
+                shapes |= {(position, visit_name(weeks)): x for position, x in healed.items()}
         return shapes
 
     def last_fields(self, end: End[BreastState]) -> Iterator[Fields]:
         """Return the healed shapes."""
-        yield from self._shapes(end.state.tissue, end.analysis, tuple((p, HEALED) for p in self.positions))
+        healed = tuple(which for which in end.analysis if which[1] == HEALED)
+        yield from self._shapes(end.state.tissue, end.analysis, healed)
 
     def outcome(self, end: End[BreastState]) -> dict[str, Quantity]:
         """Return closure, and how the shape changed in every position at every visit."""
@@ -252,7 +329,8 @@ class LumpectomyRun(Simulation[BreastState]):
             for (position, moment), x in end.analysis.items()
             if moment != BEFORE and position in asked
         }
-        main = self.home if self.home in asked else asked[0]
+        healed = [position for position, moment in changes if moment == HEALED]
+        main = self.home if self.home in asked or not healed else healed[0]
         closure = closure_numbers(self.cycle, end.state.tissue, list(end.state.rows))
         return closure | outcome_numbers(changes, (main, HEALED))
 
@@ -261,7 +339,7 @@ class LumpectomyRun(Simulation[BreastState]):
         if not isinstance(self.model, SolidModel):
             return {}
         surfaces = {}
-        for position in self.case.outcome.positions:
+        for position in (p for p, moment in end.analysis if moment == HEALED and p in self.case.outcome.positions):
             before = end.analysis[position, BEFORE]
             for moment in (BEFORE, HEALED):
                 x = end.analysis[position, moment]
