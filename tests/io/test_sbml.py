@@ -32,7 +32,9 @@ def test_a_model_of_ours_is_its_closed_form():
     """A <-> B: A = 1 + 2 exp(-0.75 t) by hand, with k_on = 2 / 4, k = 0.25, A + B = 6 mol / 2 l."""
     model = read_sbml(HERE / "reversible.xml")
     assert model.law.species == ("A", "B", "N", "clock")
-    assert dict(zip(model.law.input_names, model.inputs)) == {"cell": 2.0, "k_on": 0.5, "double": 2.0, "back_k": 0.25}
+    assert dict(zip(model.law.input_names, model.inputs)) == {"cell": 2.0, "double": 2.0, "back_k": 0.25}
+    free = read_sbml(HERE / "reversible.xml", None, {"k_on": ()})
+    assert dict(zip(free.law.input_names, free.inputs))["k_on"] == 0.5  # it is an input of its own where a case sets it
     assert not model.law.is_time_dependent
     t, y = course(model, 4.0)
     a = 1.0 + 2.0 * np.exp(-0.75 * t)

@@ -21,14 +21,29 @@ def integrate(law: RateLaw, inputs: Array, start: Array, times: Array, accuracy:
     return integrate_ode(lambda bound, y, t: bound.rate(y, t), law.under(inputs), start, times, accuracy)
 
 
+@eqx.filter_jit
+def results(law: RateLaw, states: Array, before: Array, inputs: Array, times: Array) -> Array:
+    """Return what a result has at each time: the states (n_times, n_species) after a change of inputs, and what is ``shown``.
+
+    ``before`` (n_inputs,) are the inputs under which the states were integrated, ``inputs`` (n_times, n_inputs) those that apply
+    from each of the ``times`` (n_times,) [s] on.
+    """
+    y = law.carried(states, before, inputs)
+    return jnp.concatenate([y, law.observe(y, inputs, times)], axis=-1)
+
+
 def end_state(law: RateLaw, inputs: Array, start: Array, corners: Array, accuracy: Accuracy) -> Array:
     """Return the state (n_species,) at the last of ``corners`` (n + 1,) [s], with inputs (n, n_inputs) constant between them.
 
-    The result can be differentiated with respect to the law's parameters, the inputs and the initial state.
+    ``start`` is the initial state under the network's own inputs. The result can be differentiated with respect to the law's
+    parameters, the inputs and the initial state.
     """
 
-    def pass_on(y: Array, segment: tuple[Array, Array]) -> tuple[Array, None]:
-        held, times = segment
-        return integrate_ode(lambda bound, z, t: bound.rate(z, t), law.under(held), y, times, accuracy).y[-1], None
+    def pass_on(at: tuple[Array, Array], segment: tuple[Array, Array]) -> tuple[tuple[Array, Array], None]:
+        (y, before), (held, times) = at, segment
+        y = law.carried(y, before, held)
+        done = integrate_ode(lambda bound, z, t: bound.rate(z, t), law.under(held), y, times, accuracy)
+        return (done.y[-1], held), None
 
-    return jax.lax.scan(pass_on, start, (inputs, jnp.stack([corners[:-1], corners[1:]], axis=1)))[0]
+    first = (law.begin(start, inputs[0]), inputs[0])
+    return jax.lax.scan(pass_on, first, (inputs, jnp.stack([corners[:-1], corners[1:]], axis=1)))[0][0]

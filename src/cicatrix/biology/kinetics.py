@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
-from itertools import pairwise
 from typing import Any
 
 import equinox as eqx
@@ -12,85 +9,10 @@ import jax.numpy as jnp
 import numpy as np
 from jax import Array
 
-Expression = tuple
-"""Expression tree: ("number", 2.0), ("name", "k1"), ("time",), or a key of :data:`FUNCTIONS` with arguments: ("plus", a, b)."""
+from .expressions import TIME, Expression, evaluate, names_in
 
-TIME = "time"
-
-
-def _piecewise(*parts: Any) -> Any:
-    """Return the first value whose condition is true; arguments: value, condition, value, condition, ..., default value."""
-    value = parts[-1] if len(parts) % 2 else jnp.nan
-    for k in range(len(parts) // 2 - 1, -1, -1):
-        value = jnp.where(parts[2 * k + 1], parts[2 * k], value)
-    return value
-
-
-def _folded(pair: Callable, start: Any) -> Callable:
-    def fold(*parts: Any) -> Any:
-        value = start
-        for part in parts:
-            value = pair(value, part)
-        return value
-
-    return fold
-
-
-def _chained(compare: Callable) -> Callable:
-    """Return a function of any number of arguments that is true if ``compare`` is true for every pair of successive ones."""
-    return lambda *parts: _folded(jnp.logical_and, True)(*(compare(a, b) for a, b in pairwise(parts)))
-
-
-FUNCTIONS: dict[str, Callable] = {
-    "plus": _folded(lambda a, b: a + b, 0.0),
-    "times": _folded(lambda a, b: a * b, 1.0),
-    "minus": lambda a, b=None: -a if b is None else a - b,
-    "divide": lambda a, b: a / b,
-    "power": lambda a, b: jnp.asarray(a, float) ** b,
-    "root": lambda degree, a: jnp.asarray(a, float) ** (1.0 / degree),
-    "log": lambda base, a: jnp.log(a) / jnp.log(base),
-    "ln": jnp.log,
-    "exp": jnp.exp,
-    "abs": jnp.abs,
-    "floor": jnp.floor,
-    "ceiling": jnp.ceil,
-    **{name: getattr(jnp, name) for name in ("sin", "cos", "tan", "sinh", "cosh", "tanh")},
-    **{name: getattr(jnp, name) for name in ("arcsin", "arccos", "arctan", "arcsinh", "arccosh", "arctanh")},
-    "min": lambda *parts: _folded(jnp.minimum, jnp.inf)(*parts),
-    "max": lambda *parts: _folded(jnp.maximum, -jnp.inf)(*parts),
-    "piecewise": _piecewise,
-    "and": _folded(jnp.logical_and, True),
-    "or": _folded(jnp.logical_or, False),
-    "xor": _folded(jnp.logical_xor, False),
-    "not": jnp.logical_not,
-    "eq": _chained(lambda a, b: a == b),
-    "neq": lambda a, b: a != b,
-    "lt": _chained(lambda a, b: a < b),
-    "leq": _chained(lambda a, b: a <= b),
-    "gt": _chained(lambda a, b: a > b),
-    "geq": _chained(lambda a, b: a >= b),
-}
-CONSTANTS = {"pi": math.pi, "exponentiale": math.e, "true": True, "false": False, "avogadro": 6.02214179e23}
-
-
-def evaluate(expression: Expression, values: Mapping[str, Any]) -> Any:
-    """Evaluate an expression; ``values`` has the value of every name in the expression, and of ``time``."""
-    word, *parts = expression
-    if word == "number":
-        return parts[0]
-    if word == "name":
-        return values[parts[0]]
-    if word == TIME:
-        return values[TIME]
-    return FUNCTIONS[word](*(evaluate(part, values) for part in parts))
-
-
-def names_in(expression: Expression) -> set[str]:
-    """Return the names that an expression contains; ``time`` is one of them."""
-    word, *parts = expression
-    if word in ("number", "name", TIME):
-        return {"number": set(), "name": set(parts), TIME: {TIME}}[word]
-    return set().union(*(names_in(part) for part in parts))
+Rules = tuple[tuple[str, Expression], ...]
+"""Names with their formulas, ordered so that each depends only on those before it."""
 
 
 class Kinetics(eqx.Module):
@@ -98,7 +20,7 @@ class Kinetics(eqx.Module):
 
     .. math:: \dot y = f(y, k, t), \quad f \text{ by the model's rules and reactions}
 
-    Source: SBML Level 3 Version 2 Core (Hucka et al., J Integr Bioinform 16:20190021, 2019), sections 4.6, 4.9 and 4.11.
+    Source: SBML Level 3 Version 2 Core (Hucka et al., J Integr Bioinform 16:20190021, 2019), sections 4.6, 4.8, 4.9 and 4.11.
 
     Parameters
     ----------
@@ -108,20 +30,29 @@ class Kinetics(eqx.Module):
         Constants (n_inputs,): parameters, compartments and species that no rule or reaction changes. All of them are inputs.
     values : (n_inputs,) array
         Values of the constants in the model, in its own units.
-    assigned : tuple of (str, Expression)
-        Names computed by rules or reactions, ordered so that each depends only on those before it.
+    assigned : Rules
+        Names computed by rules or reactions, and constants that initial assignments compute from other constants.
     rates : tuple of Expression
         Rate of every state, per ``seconds``.
     seconds : float [s]
         The model's unit of time.
+    initial : Rules
+        Names that the initial values of the states need, and the states: values at time 0 from those of the inputs.
+    volumes : tuple of str
+        Compartment of every state that is a concentration (n_species,); empty for all others.
+    shown : tuple of str
+        Names besides the states that are part of a result: species and parameters that rules compute, and constant species.
     """
 
     species: tuple[str, ...] = eqx.field(static=True)
     input_names: tuple[str, ...] = eqx.field(static=True)
     values: Array
-    assigned: tuple[tuple[str, Expression], ...] = eqx.field(static=True)
+    assigned: Rules = eqx.field(static=True)
     rates: tuple[Expression, ...] = eqx.field(static=True)
     seconds: float = eqx.field(static=True, default=1.0)
+    initial: Rules = eqx.field(static=True, default=())
+    volumes: tuple[str, ...] = eqx.field(static=True, default=())
+    shown: tuple[str, ...] = eqx.field(static=True, default=())
 
     @property
     def is_time_dependent(self) -> bool:
@@ -141,6 +72,37 @@ class Kinetics(eqx.Module):
         """Return the rates as a function of state and time alone, with fixed constants (..., n_inputs)."""
         return BoundKinetics(self, jnp.asarray(self.values if inputs is None else inputs))
 
+    def begin(self, own: Array, inputs: Array) -> Array:
+        """Return the initial state (n_species,) under constants (n_inputs,): initial assignments follow them.
+
+        Compartments are of the model's own size until the first instant, so amounts are those of the model, and
+        concentrations change with the size. ``own`` is the initial state of a model without ``initial``.
+        """
+        if not self.initial:
+            return own
+        sizes = [self.input_names.index(name) for name in set(self.volumes) & set(self.input_names)]
+        before = jnp.asarray(inputs).at[np.array(sizes, int)].set(self.values[np.array(sizes, int)])
+        values: dict[str, Any] = {name: before[k] for k, name in enumerate(self.input_names)} | {TIME: 0.0}
+        for name, rule in self.initial:
+            values[name] = evaluate(rule, values)
+        start = jnp.stack([jnp.asarray(values[name], float) for name in self.species])
+        return self.carried(start, before, inputs)
+
+    def carried(self, y: Array, before: Array, after: Array) -> Array:
+        """Return a state (..., n_species) just after the constants change: amounts stay, concentrations follow the volume."""
+        old, new = (self.under(one).constants() for one in (before, after))
+        share = [old[name] / new[name] if name in old else jnp.ones(()) for name in self.volumes]
+        return (
+            jnp.asarray(y) * jnp.stack(jnp.broadcast_arrays(*share), axis=-1) if any(self.volumes) else jnp.asarray(y)
+        )
+
+    def observe(self, y: Array, inputs: Array, time: Array | float = 0.0) -> Array:
+        """Return what is ``shown`` besides the states (..., n_shown) at states (..., n_species), constants and times [s]."""
+        values, lead = self.under(inputs).values(y, time), jnp.shape(y)[:-1]
+        if not self.shown:
+            return jnp.asarray(y)[..., :0]
+        return jnp.stack([jnp.broadcast_to(jnp.asarray(values[name], float), lead) for name in self.shown], axis=-1)
+
 
 class BoundKinetics(eqx.Module):
     """Rates of an SBML model as a function of state and time, with fixed constants."""
@@ -148,13 +110,26 @@ class BoundKinetics(eqx.Module):
     law: Kinetics
     inputs: Array
 
-    def rate(self, y: Array, time: Array | float = 0.0) -> Array:
-        """Return dy/dt at states (..., n_species) at a time [s] -> (..., n_species) [1/s]."""
+    def constants(self) -> dict[str, Any]:
+        """Return the constants, and what is computed from them alone, by name."""
+        values: dict[str, Any] = {name: self.inputs[..., k] for k, name in enumerate(self.law.input_names)}
+        for name, rule in self.law.assigned:
+            if names_in(rule) <= values.keys():
+                values[name] = evaluate(rule, values)
+        return values
+
+    def values(self, y: Array, time: Array | float = 0.0) -> dict[str, Any]:
+        """Return the value of every name of the model at states (..., n_species) and a time [s]."""
         y, law = jnp.asarray(y), self.law
-        values = {name: self.inputs[..., k] for k, name in enumerate(law.input_names)}
+        values: dict[str, Any] = {name: self.inputs[..., k] for k, name in enumerate(law.input_names)}
         values |= {name: y[..., k] for k, name in enumerate(law.species)} | {TIME: time / law.seconds}
         for name, rule in law.assigned:
             values[name] = evaluate(rule, values)
-        lead = np.broadcast_shapes(y.shape[:-1], self.inputs.shape[:-1])
-        rates = [jnp.broadcast_to(jnp.asarray(evaluate(rate, values), float), lead) for rate in law.rates]
-        return jnp.stack(rates, axis=-1) / law.seconds
+        return values
+
+    def rate(self, y: Array, time: Array | float = 0.0) -> Array:
+        """Return dy/dt at states (..., n_species) at a time [s] -> (..., n_species) [1/s]."""
+        values = self.values(y, time)
+        lead = np.broadcast_shapes(jnp.shape(y)[:-1], self.inputs.shape[:-1])
+        rates = [jnp.broadcast_to(jnp.asarray(evaluate(rate, values), float), lead) for rate in self.law.rates]
+        return jnp.stack(rates, axis=-1) / self.law.seconds

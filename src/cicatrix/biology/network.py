@@ -48,6 +48,23 @@ class RateLaw(Protocol):
         """Return the rates as a function of state and time, with fixed inputs (..., n_inputs), for evaluation at many states."""
         ...
 
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Names of what is part of a result besides the states (n_shown,)."""
+        ...
+
+    def begin(self, own: Array, inputs: Array) -> Array:
+        """Return the initial state (n_species,) under inputs (n_inputs,); ``own`` is that under the network's own inputs."""
+        ...
+
+    def carried(self, y: Array, before: Array, after: Array) -> Array:
+        """Return a state (..., n_species) just after the inputs change from ``before`` to ``after`` (..., n_inputs)."""
+        ...
+
+    def observe(self, y: Array, inputs: Array, time: Array | float = 0.0) -> Array:
+        """Return what is ``shown`` (..., n_shown) at states (..., n_species), inputs (..., n_inputs) and times [s]."""
+        ...
+
 
 class BoundRates(Protocol):
     """Interface of a network's rates as a function of state and time, with fixed inputs."""
@@ -175,6 +192,23 @@ class HillNetwork(Law):
             None if is_plain else _first(weight)[reaction[is_negated]],
             _first(weight if is_plain else _power(weight, 1 - self.wiring.n_negated)),
         )
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Names of what is part of a result besides the states: none."""
+        return ()
+
+    def begin(self, own: Array, inputs: Array) -> Array:
+        """Return the initial state (n_species,): inputs do not change it."""
+        return own
+
+    def carried(self, y: Array, before: Array, after: Array) -> Array:
+        """Return a state (..., n_species) just after the inputs change: the same one."""
+        return y
+
+    def observe(self, y: Array, inputs: Array, time: Array | float = 0.0) -> Array:
+        """Return what is ``shown`` (..., 0)."""
+        return jnp.asarray(y)[..., :0]
 
     def _weights(self, inputs: Array | None) -> Array:
         """Return the weights (..., n_reactions), with the inputs in place of the weights of ``=> X``."""

@@ -18,7 +18,9 @@ class NetworkTable(Table):
     reactions: Path | None = None  # CSV file of reactions: id, rule, weight, n, ec50
     inhibition: Literal["complement", "weighted"] = "complement"  # NOT is 1 - activity, or weight - activity
     sbml: Path | None = None  # SBML file, instead of the two CSV files
-    time_unit: Literal["s", "min", "h", "d"] = "s"  # unit of time in the SBML file
+    time_unit: Literal["s", "min", "h", "d"] | None = (
+        None  # unit of time in the SBML file; default: what it states, else s
+    )
 
     @model_validator(mode="after")
     def _one_of_two(self) -> NetworkTable:

@@ -1,278 +1,169 @@
-"""Reading of reaction networks from SBML: libsbml checks them and expands functions; the result is :class:`.Kinetics`."""
+"""Reading of reaction networks from SBML: rate laws of our own where the model has such, else a model for libroadrunner."""
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..biology.kinetics import CONSTANTS, FUNCTIONS, TIME, Expression, Kinetics, evaluate, names_in
+from ..biology.expressions import TIME, Expression, evaluate, name, names_in, needed, number, ordered
+from ..biology.kinetics import Kinetics
 from ..biology.network_model import NetworkModel
-from ..biology.rules import unknown_species
+from ..biology.roadrunner import DelegatedNetwork
 from ..core.errors import InputError
-from ..core.units import unit_factor
-from .text import text_of
+from .sbml_document import MISSING, read_document
+from .sbml_equations import Equations, Event, equations_of
+from .sbml_parameters import parameters_text
+from .sbml_time import seconds_of
 
-MISSING = "needs python-libsbml to read SBML: pip install 'cicatrix[sbml]'"
-CONVERSIONS = ("expandFunctionDefinitions", "promoteLocalParameters")
-WORDS = {  # type of a libsbml node, without the prefix AST_ -> word of Kinetics
-    "PLUS": "plus",
-    "MINUS": "minus",
-    "TIMES": "times",
-    "DIVIDE": "divide",
-    "POWER": "power",
-    "FUNCTION_POWER": "power",
-    "FUNCTION_ROOT": "root",
-    "FUNCTION_LOG": "log",
-    "FUNCTION_LN": "ln",
-    **{f"FUNCTION_{name.upper()}": name for name in FUNCTIONS},
-    **{f"LOGICAL_{name.upper()}": name for name in ("and", "or", "xor", "not")},
-    **{f"RELATIONAL_{name.upper()}": name for name in ("eq", "neq", "lt", "leq", "gt", "geq")},
-}
-VALUES = {"CONSTANT_PI": "pi", "CONSTANT_E": "exponentiale", "CONSTANT_TRUE": "true", "CONSTANT_FALSE": "false"}
+__all__ = ["MISSING", "Changes", "read_sbml"]
+LARGEST_RATE = 1e150  # a rate beyond which nothing can be integrated
+Changes = Mapping[str, Sequence[tuple[float, float]]]
+"""Constants that change from outside: time [s] and value from then on; empty for those that are only varied between runs."""
 
 
-def read_sbml(path: Path, time_unit: str = "s") -> NetworkModel:
+def read_sbml(path: Path, time_unit: str | None = None, changes: Changes | None = None) -> NetworkModel:
     """Read a model of SBML Level 1, 2 or 3.
 
     Parameters
     ----------
     path : Path
         The file.
-    time_unit : str
-        Unit of time of the model: "s", "min", "h" or "d".
+    time_unit : str, optional
+        Unit of time of the model: "s", "min", "h" or "d"; by default the unit that the file states.
+    changes : Changes, optional
+        Constants that the case sets. Initial assignments of other constants, and of initial values, follow them; their own are
+        without effect.
+
+    Returns
+    -------
+    NetworkModel
+        Its law is :class:`.Kinetics`, or a :class:`.DelegatedNetwork` where the model has features beyond it.
 
     Raises
     ------
     InputError
         If libsbml is not installed, the file is not valid, or the model uses features that are not supported; they are named.
     """
+    changes = changes or {}
+    document = read_document(path)
+    seconds, notes = seconds_of(document.getModel(), time_unit)
     try:
-        import libsbml  # pyright: ignore[reportMissingImports]
-    except ImportError:
-        raise InputError(MISSING) from None
-    document = libsbml.readSBMLFromString(_text(path))
-    _refuse_faulty(path, document, libsbml)
-    unsupported = list(dict.fromkeys(_unsupported(document, libsbml)))
-    if unsupported:
-        raise InputError(f"{path} uses {', '.join(unsupported)}, which cicatrix does not support")
-    for conversion in CONVERSIONS:
-        properties = libsbml.ConversionProperties()
-        properties.addOption(conversion, True)
-        if document.convert(properties) != libsbml.LIBSBML_OPERATION_SUCCESS:
-            raise InputError(f"{path}: libsbml could not convert it ({conversion})")
-    return _Reader(path, document.getModel(), libsbml).model(unit_factor(time_unit, "s"))
+        equations = equations_of(document.getModel(), set())
+        if equations.features and changes.keys() & set(equations.volumes.values()):
+            equations = equations_of(document.getModel(), {*changes} & set(equations.volumes.values()))
+        if not equations.columns and not equations.rates:
+            raise InputError(
+                "nothing changes in this model: it has no reaction, no rule and no event that changes a quantity"
+            )
+        build = _delegated if equations.features else _kinetics
+        model = build(equations, seconds, changes)
+    except InputError as error:
+        joint = " " if str(error).startswith("uses ") else ": "
+        raise InputError(f"{path}{joint}{error}") from None
+    return model._replace(notes=(*equations.notes, *notes, *model.notes))
 
 
-def _text(path: Path) -> str:
-    text = text_of(path)
-    if not text.strip():
-        raise InputError(f"{path} is empty")
-    if not re.search(r"<(\w+:)?sbml\b", text):
-        raise InputError(f"{path} is not an SBML file: there is no <sbml> in it")
-    return text
+def _starting(equations: Equations, free: Iterable[str]) -> dict[str, Expression]:
+    """Return the formulas of all values at time 0; constants that the case sets have the value that the file gives them."""
+    own = {**equations.given, **equations.initial, **equations.assigned}
+    values = _evaluated(own, [one for one in free if one in own])
+    return own | {one: number(values[one]) for one in values if one in free and one in equations.constants()}
 
 
-def _refuse_faulty(path: Path, document: Any, libsbml: Any) -> None:
-    document.checkInternalConsistency()
-    for k in range(document.getNumErrors()):
-        error = document.getError(k)
-        if error.getSeverity() >= libsbml.LIBSBML_SEV_ERROR:
-            words = " ".join(error.getMessage().split())
-            raise InputError(f"{path}: line {error.getLine()}: not valid SBML: {words[:300]}")
-    if document.getModel() is None:
-        raise InputError(f"{path}: contains no SBML model")
+def _evaluated(rules: Mapping[str, Expression], asked: Iterable[str], finite: bool = True) -> dict[str, float]:
+    """Evaluate names, and all on which they depend, at time 0."""
+    found: dict[str, float] = {TIME: 0.0}
+    asked = needed(asked, rules)
+    for one, rule in ordered({one: rule for one, rule in rules.items() if one in asked}, {TIME}):
+        found[one] = float(np.asarray(evaluate(rule, found)))
+        if finite and not np.isfinite(found[one]):
+            raise InputError(f'"{one}" starts at {found[one]}, which is not a finite number')
+    return found
 
 
-def _unsupported(document: Any, libsbml: Any) -> Iterator[str]:
-    """Yield the features of a model that Kinetics cannot represent, in words."""
-    model = document.getModel()
-    for k in range(document.getNumPlugins()):
-        name = document.getPlugin(k).getPackageName()
-        if name not in ("layout", "render", "groups", "annot", "l3v2extendedmath"):
-            yield f'the package "{name}"'
-    if model.getNumEvents():
-        yield "events"
-    if any(rule.isAlgebraic() for rule in model.getListOfRules()):
-        yield "algebraic rules"
-    if any(reaction.isSetFast() and reaction.getFast() for reaction in model.getListOfReactions()):
-        yield "fast reactions"
-    if model.isSetConversionFactor() or any(one.isSetConversionFactor() for one in model.getListOfSpecies()):
-        yield "conversion factors"
-    changed = {rule.getVariable() for rule in model.getListOfRules()}
-    if any(one.getId() in changed for one in model.getListOfCompartments()):
-        yield "compartments of variable size"
-    changed |= {one.getSymbol() for one in model.getListOfInitialAssignments()}
-    for reaction in model.getListOfReactions():
-        for one in (*reaction.getListOfReactants(), *reaction.getListOfProducts()):
-            if one.isSetStoichiometryMath() or (one.isSetId() and one.getId() in changed):
-                yield "computed stoichiometries"
-    for math in _all_math(model):
-        yield from _unsupported_in(math, libsbml)
+def _refuse_odd_rates(equations: Equations, start: Mapping[str, Expression]) -> None:
+    """Refuse a model whose rates at time 0 are no numbers or beyond all measure; the message names the reaction or the rule."""
+    everything = {**start, **{f"rate {one}": rule for one, rule in equations.rates.items()}}
+    for of, rule in equations.rates.items():
+        values = _evaluated(everything, [f"rate {of}"], finite=False)
+        if abs(values[f"rate {of}"]) < LARGEST_RATE:
+            continue
+        reactions = [one for one in names_in(rule) if one in equations.assigned and not abs(values[one]) < LARGEST_RATE]
+        words = f'reaction or rule "{min(reactions)}"' if reactions else f'the rate of "{of}"'
+        value = values[min(reactions)] if reactions else values[f"rate {of}"]
+        raise InputError(
+            f"{words} is {value:g} at time 0; its formula must give a finite number there (a piecewise needs an otherwise)"
+        )
 
 
-def _all_math(model: Any) -> Iterator[Any]:
-    owners = [*model.getListOfRules(), *model.getListOfInitialAssignments(), *model.getListOfFunctionDefinitions()]
-    owners += [one.getKineticLaw() for one in model.getListOfReactions() if one.isSetKineticLaw()]
-    for owner in owners:
-        if owner.isSetMath():
-            yield owner.getMath()
+def _kinetics(equations: Equations, seconds: float, changes: Changes) -> NetworkModel:
+    """Return the rate laws of a model, its constants and its start."""
+    start, states = _starting(equations, changes), [*equations.rates]
+    derived = equations.derived({*changes}) | _followers(equations, start, changes)
+    constants = [one for one in equations.constants() if one not in derived]
+    values = _evaluated(start, [*constants, *states])
+    _refuse_odd_rates(equations, start)
+    assigned = ordered({**equations.assigned, **derived}, {*constants, *states, TIME})
+    used = needed(states, {one: rule for one, rule in (start | derived).items() if one not in constants}) - {*constants}
+    law = Kinetics(
+        species=tuple(states),
+        input_names=tuple(constants),
+        values=np.array([values[one] for one in constants]),
+        assigned=assigned,
+        rates=tuple(equations.rates.values()),
+        seconds=seconds,
+        initial=ordered({one: rule for one, rule in (start | derived).items() if one in used}, {*constants, TIME}),
+        volumes=tuple(equations.volumes.get(one, "") for one in states),
+        shown=tuple(one for one in equations.columns if one not in equations.rates),
+    )
+    at_start = np.array([values[one] for one in states])
+    high = np.where(at_start > 0.0, 2.0 * at_start, 1.0)
+    return NetworkModel(law, at_start, np.asarray(law.values), high, None, False)
 
 
-def _unsupported_in(node: Any, libsbml: Any) -> Iterator[str]:
-    names = {libsbml.AST_FUNCTION_DELAY: "delays", getattr(libsbml, "AST_FUNCTION_RATE_OF", -1): "rateOf"}
-    if node.getType() in names:
-        yield names[node.getType()]
-    for k in range(node.getNumChildren()):
-        yield from _unsupported_in(node.getChild(k), libsbml)
+def _followers(equations: Equations, start: Mapping[str, Expression], changes: Changes) -> dict[str, Expression]:
+    """Return the concentrations of constant species in compartments that the case sets: their amounts stay."""
+    follow = {one: of for one, of in equations.volumes.items() if of in changes and one not in changes}
+    held = {one: of for one, of in follow.items() if one in equations.constants()}
+    values = _evaluated(start, [*held, *held.values()])
+    return {one: ("divide", number(values[one] * values[of]), name(of)) for one, of in held.items()}
 
 
-class _Reader:
-    """Converter of one SBML model to :class:`.Kinetics`."""
+def _delegated(equations: Equations, seconds: float, changes: Changes) -> NetworkModel:
+    """Return a model for libroadrunner, with the changes of constants as events."""
+    known = {one: steps for one, steps in changes.items() if one in equations.constants()}
+    start = _starting(equations, known)
+    sizes = set(equations.volumes.values())
+    first = {one: dict(steps)[0.0] for one, steps in known.items() if 0.0 in dict(steps)}
+    derived = equations.derived({*known})
+    constants = [one for one in equations.constants() if one not in derived]
+    file = _evaluated(start, [*constants, *equations.rates])
+    start |= {one: number(value) for one, value in first.items() if one not in sizes}
+    values = _evaluated(start, [one for one in equations.given if one not in equations.assigned]) | {
+        one: value for one, value in first.items() if one in sizes
+    }
+    _refuse_odd_rates(
+        equations, {**start, **{one: number(value) for one, value in values.items() if one in equations.given}}
+    )
+    kept = {one: value for one, value in values.items() if one in equations.given and one not in derived}
+    events = [*equations.events, *_steps(known, seconds)]
+    text, ids = parameters_text(kept, equations.rates, {**equations.assigned, **derived}, events)
+    features = ", ".join(equations.features)
+    law = DelegatedNetwork(
+        equations.columns, tuple(constants), text, tuple(ids[one] for one in equations.columns), bool(events), seconds
+    )
+    note = f"libroadrunner simulates this model, since it has {features}; steady states and sensitivities are not computed."
+    columns = np.array([np.nan for _ in equations.columns])
+    return NetworkModel(law, columns, np.array([file[one] for one in constants]), columns, None, False, (note,))
 
-    def __init__(self, path: Path, model: Any, libsbml: Any):
-        self.path, self.source = path, model
-        types = {getattr(libsbml, name): name[4:] for name in dir(libsbml) if name.startswith("AST_")}
-        self.word_of: Callable[[int], str] = types.__getitem__
-        self.volume = {one.getId(): one.getCompartment() for one in model.getListOfSpecies() if self._is_dense(one)}
-        rules = [(one.getVariable(), one.isRate(), self._math(one)) for one in model.getListOfRules()]
-        self.rate_rules = {name: rule for name, is_rate, rule in rules if is_rate}
-        self.assigned = {name: rule for name, is_rate, rule in rules if not is_rate}
-        self.assigned |= {
-            one.getId(): self._math(one.getKineticLaw()) for one in model.getListOfReactions() if one.isSetKineticLaw()
-        }
-        self.initial = {one.getSymbol(): self._math(one) for one in model.getListOfInitialAssignments()}
 
-    def model(self, seconds: float) -> NetworkModel:
-        """Separate states from constants, evaluate their initial values, and build the model."""
-        self._refuse_without_law()
-        rates = self._reactions() | self.rate_rules
-        if not rates:
-            raise InputError(f"{self.path}: nothing changes in this model: it has no reaction and no rate rule")
-        everything = [
-            *self.source.getListOfCompartments(),
-            *self.source.getListOfSpecies(),
-            *self.source.getListOfParameters(),
-        ]
-        constants = [one.getId() for one in everything if one.getId() not in rates and one.getId() not in self.assigned]
-        self._refuse_unknown({*constants, *rates, *self.assigned})
-        order = self._ordered({**self.assigned}, {*constants, *rates, TIME})
-        given = self._start({one.getId(): self._given(one) for one in everything}, [*constants, *rates])
-        values = np.array([given[name] for name in constants])
-        law = Kinetics(tuple(rates), tuple(constants), values, order, tuple(rates.values()), seconds)
-        start = np.array([given[name] for name in rates])
-        high = np.where(start > 0.0, 2.0 * start, 1.0)
-        computed = [one.getId() for one in self.source.getListOfSpecies() if one.getId() in self.assigned]
-        notes = [f'Species "{name}" is computed by a rule and has no column of its own.' for name in computed]
-        return NetworkModel(law, start, values, high, None, False, tuple(notes))
-
-    def _refuse_without_law(self) -> None:
-        for reaction in self.source.getListOfReactions():
-            if not reaction.isSetKineticLaw():
-                raise InputError(f'{self.path}: reaction "{reaction.getId()}" has no kinetic law')
-
-    def _refuse_unknown(self, known: set[str]) -> None:
-        reactions = {one.getId() for one in self.source.getListOfReactions()}
-        for name, rule in (self.assigned | self.rate_rules).items():
-            for one in sorted(names_in(rule) - known - {TIME}):
-                kind = "reaction" if name in reactions else "the rule of"
-                raise InputError(f'{self.path}: {kind} "{name}" {unknown_species(one, known, "id")}')
-
-    def _reactions(self) -> dict[str, Expression]:
-        """Return the rate of change of each species that takes part in reactions, as an expression by name."""
-        parts: dict[str, list[Expression]] = {}
-        changing = {
-            one.getId()
-            for one in self.source.getListOfSpecies()
-            if not (one.getBoundaryCondition() or one.getConstant())
-        }
-        for reaction in self.source.getListOfReactions():
-            for sign, side in ((-1.0, reaction.getListOfReactants()), (1.0, reaction.getListOfProducts())):
-                for one in side:
-                    if one.getSpecies() in changing and reaction.getId() in self.assigned:
-                        n = one.getStoichiometry() if one.isSetStoichiometry() else 1.0
-                        part = ("times", ("number", sign * n), ("name", reaction.getId()))
-                        parts.setdefault(one.getSpecies(), []).append(part)
-        return {name: self._per_volume(name, ("plus", *sum_of)) for name, sum_of in parts.items()}
-
-    def _per_volume(self, name: str, rate: Expression) -> Expression:
-        return ("divide", rate, ("name", self.volume[name])) if name in self.volume else rate
-
-    def _is_dense(self, species: Any) -> bool:
-        """Return whether the symbol of a species stands for a concentration, not for an amount."""
-        compartment = self.source.getCompartment(species.getCompartment())
-        return not species.getHasOnlySubstanceUnits() and compartment.getSpatialDimensionsAsDouble() > 0.0
-
-    def _given(self, one: Any) -> Expression | None:
-        """Return the initial value from the attributes of an SBML compartment, parameter or species; None if there is none."""
-        if one.getElementName() == "compartment":
-            return ("number", one.getSize()) if one.isSetSize() else ("number", 1.0)
-        if one.getElementName() == "parameter":
-            return ("number", one.getValue()) if one.isSetValue() else None
-        volume = ("name", one.getCompartment())
-        is_dense = one.getId() in self.volume
-        if one.isSetInitialAmount():
-            amount = ("number", one.getInitialAmount())
-            return ("divide", amount, volume) if is_dense else amount
-        if one.isSetInitialConcentration():
-            density = ("number", one.getInitialConcentration())
-            return density if is_dense else ("times", density, volume)
-        return None
-
-    def _start(self, given: dict[str, Expression | None], asked: list[str]) -> dict[str, float]:
-        """Evaluate the symbols in ``asked``, and all symbols on which they depend, at time 0: name -> value."""
-        rules = {name: rule for name, rule in (given | self.initial | self.assigned).items() if rule is not None}
-        needed, found = self._closure(rules, asked), {TIME: 0.0}
-        for name, rule in self._ordered({name: rules[name] for name in needed}, {TIME}):
-            found[name] = float(np.asarray(evaluate(rule, found)))
-            if not np.isfinite(found[name]):
-                raise InputError(f'{self.path}: "{name}" starts at {found[name]}, which is not a finite number')
-        return found
-
-    def _closure(self, rules: dict[str, Expression], asked: list[str]) -> set[str]:
-        needed, left = set(), list(asked)
-        while left:
-            name = left.pop()
-            if name not in rules:
-                raise InputError(f'{self.path}: "{name}" has no initial value')
-            if name not in needed:
-                needed.add(name)
-                left += names_in(rules[name]) - {TIME}
-        return needed
-
-    def _ordered(self, rules: dict[str, Expression], known: set[str]) -> tuple[tuple[str, Expression], ...]:
-        """Sort rules so that each depends only on those before it."""
-        order, known, left = [], set(known), dict(rules)
-        while left:
-            ready = [name for name, rule in left.items() if names_in(rule) <= known]
-            if not ready:
-                raise InputError(f"{self.path}: the rules of {', '.join(sorted(left))} depend on each other")
-            order += [(name, left.pop(name)) for name in ready]
-            known |= set(ready)
-        return tuple(order)
-
-    def _math(self, owner: Any) -> Expression:
-        if not owner.isSetMath():
-            raise InputError(f"{self.path}: a rule, an assignment or a kinetic law has no formula")
-        return self._expression(owner.getMath())
-
-    def _expression(self, node: Any) -> Expression:
-        """Convert a formula from libsbml's nodes to an expression of Kinetics."""
-        word = self.word_of(node.getType())
-        if node.isNumber():
-            return ("number", float(node.getValue()))
-        if word == "NAME_TIME":
-            return (TIME,)
-        if word == "NAME_AVOGADRO":
-            return ("number", CONSTANTS["avogadro"])
-        if word in VALUES:
-            return ("number", CONSTANTS[VALUES[word]])
-        if word == "NAME":
-            return ("name", node.getName())
-        if word not in WORDS:
-            name = node.getName() or word.lower()
-            raise InputError(f'{self.path}: uses the function "{name}", which cicatrix does not support')
-        return (WORDS[word], *(self._expression(node.getChild(k)) for k in range(node.getNumChildren())))
+def _steps(known: Changes, seconds: float) -> list[Event]:
+    """Return the changes of constants after time 0 as events."""
+    return [
+        Event(("geq", (TIME,), number(at / seconds)), {one: number(value)}, priority=number(1e9), starts_true=False)
+        for one, steps in known.items()
+        for at, value in steps
+        if at > 0.0
+    ]

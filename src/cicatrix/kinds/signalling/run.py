@@ -9,8 +9,9 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
-from ...biology.courses import integrate
+from ...biology.courses import integrate, results
 from ...biology.network_model import NetworkModel
+from ...biology.roadrunner import DelegatedNetwork
 from ...biology.sensitivity import INPUT, Sensitivities, of_end, of_steady_state
 from ...biology.steady import SteadyStates, steady_states
 from ...core.errors import ConvergenceError
@@ -27,6 +28,7 @@ from .build import (
     longest_s,
     outputs_of,
     refuse_unknown,
+    row_times,
     starts_of,
 )
 from .case import SignallingCase
@@ -46,7 +48,7 @@ class NetworkState(NamedTuple):
     n_steps: int
     """Steps of the solver so far."""
     new: tuple[tuple[int, float, np.ndarray], ...] = ()
-    """Number, time [h] and species of every row of the chunk."""
+    """Number, time [h] and values of every row of the chunk: species, and what else is shown."""
     is_whole: bool = True
     """Whether the solver reached the end of the chunk."""
 
@@ -67,10 +69,19 @@ class SignallingRun(Simulation[NetworkState]):
 
     def __init__(self, case: SignallingCase, context: Context | None = None) -> None:
         super().__init__(case, context)
-        self.model = read_model(case.network)
+        self.model = read_model(case)
         refuse_unknown(case, self.model)
         self.notes = list(self.model.notes)
         self.chunks = chunks(case, self.model)
+        self.names = (*self.model.law.species, *self.model.law.shown)
+        if not self._is_delegated:
+            start = self.model.law.begin(jnp.asarray(self.model.start), jnp.asarray(self.chunks[0].inputs))
+            self.model = self.model._replace(start=np.asarray(start))
+
+    @property
+    def _is_delegated(self) -> bool:
+        """Whether libroadrunner integrates the network: then in one pass, without steady states and sensitivities."""
+        return isinstance(self.model.law, DelegatedNetwork)
 
     @cached_property
     def last_inputs(self) -> np.ndarray:
@@ -79,25 +90,46 @@ class SignallingRun(Simulation[NetworkState]):
 
     def start(self) -> NetworkState:
         """Return the initial state that the network's files give."""
-        return NetworkState(0, 0, self.model.start, 0, ((0, 0.0, self.model.start),))
+        if self._is_delegated:
+            return NetworkState(0, -1, self.model.start, 0)
+        first = self._results(self.model.start[None], self.chunks[0].inputs, np.zeros(1))
+        return NetworkState(0, 0, self.model.start, 0, ((0, 0.0, first[0]),))
 
     def march(self, state: NetworkState) -> Iterator[NetworkState]:
         """Yield the network after every chunk; if a chunk fails, yield the part that was computed, then raise the error."""
+        if isinstance(self.model.law, DelegatedNetwork):
+            yield from [self._delegated(self.model.law)] if state.chunk == 0 else []
+            return
         for chunk in self.chunks[state.chunk :]:
             state, failure = self._pass(chunk, state)
             yield state
             if failure is not None:
                 raise failure
 
+    def _delegated(self, law: DelegatedNetwork) -> NetworkState:
+        times = row_times(self.case)
+        values = law.course(seconds_from_hours(times), accuracy_of(self.case))
+        rows = tuple((number, float(time_h), y) for number, (time_h, y) in enumerate(zip(times, values)))
+        return NetworkState(len(self.chunks), len(rows) - 1, values[-1], 0, rows)
+
+    def _results(self, states: np.ndarray, before: np.ndarray, times_h: np.ndarray) -> np.ndarray:
+        """Return the values (n_times, n_names) of rows from the states under the inputs ``before`` the rows' times."""
+        inputs = np.array([inputs_at(self.case, self.model, float(time_h)) for time_h in times_h])
+        times = seconds_from_hours(times_h)
+        return np.asarray(results(self.model.law, *map(jnp.asarray, (states, before, inputs, times))))
+
     def _pass(self, chunk: Chunk, at: NetworkState) -> tuple[NetworkState, ConvergenceError | None]:
         times = seconds_from_hours(chunk.times_h)
-        done = integrate(
-            self.model.law, jnp.asarray(chunk.inputs), jnp.asarray(at.y), jnp.asarray(times), accuracy_of(self.case)
-        )
+        before = self.chunks[max(at.chunk - 1, 0)].inputs
+        start = self.model.law.carried(*map(jnp.asarray, (at.y, before, chunk.inputs)))
+        done = integrate(self.model.law, jnp.asarray(chunk.inputs), start, jnp.asarray(times), accuracy_of(self.case))
         states, n_steps = np.asarray(done.y), at.n_steps + int(done.n_steps)
-        rows = zip(chunk.times_h[1 : chunk.n_rows + 1], states[1:])
+        values = self._results(states, chunk.inputs, chunk.times_h)
+        rows = zip(chunk.times_h[1 : chunk.n_rows + 1], values[1:])
         new = tuple(
-            (number, float(time_h), y) for number, (time_h, y) in enumerate(rows, at.row + 1) if np.isfinite(y).all()
+            (number, float(time_h), y)
+            for number, (time_h, y) in enumerate(rows, at.row + 1)
+            if np.isfinite(y[: len(self.model.start)]).all()
         )
         failure = None if done.is_done else self._failure(chunk, done)
         return NetworkState(at.chunk + 1, at.row + chunk.n_rows, states[-1], n_steps, new, failure is None), failure
@@ -126,7 +158,7 @@ class SignallingRun(Simulation[NetworkState]):
             yield {
                 "step": number,
                 "time_h": time_h,
-                **{name: float(value) for name, value in zip(self.model.law.species, y)},
+                **{name: float(value) for name, value in zip(self.names, y)},
                 **{f"input_{name}": float(inputs[name]) for name in self.case.set},
             }
 
@@ -144,7 +176,9 @@ class SignallingRun(Simulation[NetworkState]):
         return state.chunk / len(self.chunks), f"{reached:.4g} h of {self.chunks[-1].times_h[-1]:.4g} h simulated"
 
     def analyse(self, state: NetworkState) -> Analysis:
-        """Return steady states and sensitivities."""
+        """Return steady states and sensitivities; of a delegated network, neither."""
+        if self._is_delegated:
+            return Analysis({}, {})
         with self.context.progress.stage("steady states"):
             found = self._search(state.y)
         with self.context.progress.stage("sensitivities"):
@@ -195,8 +229,12 @@ class SignallingRun(Simulation[NetworkState]):
     def outcome(self, end: End[NetworkState]) -> dict[str, Quantity]:
         """Return the species at the end, and every steady state."""
         names, hours = self.model.law.species, end.history["time_h"][-1]
-        outcome = {"n_solver_steps": Quantity(end.state.n_steps, "1", "of the course")}
-        outcome["end"] = Quantity(dict(zip(names, end.state.y)), "1", f"at {hours:g} h")
+        engine = "libroadrunner" if self._is_delegated else "cicatrix"
+        outcome = {"engine": Quantity(engine, "", "program that integrated the network")}
+        if not self._is_delegated:
+            outcome["n_solver_steps"] = Quantity(end.state.n_steps, "1", "of the course")
+        last = {name: float(end.history[name][-1]) for name in self.names}
+        outcome["end"] = Quantity(last, "1", f"at {hours:g} h")
         return outcome | _of_states(end.analysis.found, names, dict(zip(self.model.law.input_names, self.last_inputs)))
 
     def tables(self, end: End[NetworkState]) -> Mapping[str, ResultTable]:
@@ -219,7 +257,7 @@ class SignallingRun(Simulation[NetworkState]):
         found, derivatives = end.analysis
         names, of_inputs = self.model.law.species, "input [1]" if self.model.is_normalised else "input"
         drawings: dict[str, Drawing] = {
-            "courses": partial(courses_figure, end.history, names, tuple(self.case.set), of_inputs)
+            "courses": partial(courses_figure, end.history, self.names, tuple(self.case.set), of_inputs)
         }
         if found:
             drawings["steady_states"] = partial(states_figure, found[None], names)
@@ -232,8 +270,8 @@ class SignallingRun(Simulation[NetworkState]):
 
     def sentence(self, end: End[NetworkState]) -> str:
         """Return a sentence on how long the network was integrated, and how many steady states were found."""
-        verdict = _verdict(end.analysis.found.get(None))
-        return f"The network was simulated over {end.history['time_h'][-1]:.6g} h. {verdict}"
+        verdict = "" if self._is_delegated else _verdict(end.analysis.found.get(None))
+        return f"The network was simulated over {end.history['time_h'][-1]:.6g} h. {verdict}".rstrip()
 
 
 def _verdict(found: SteadyStates | None) -> str:

@@ -1,0 +1,46 @@
+"""The unit of time of an SBML model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ..core.errors import InputError
+from ..core.units import unit_factor
+
+
+def seconds_of(model: Any, asked: str | None) -> tuple[float, list[str]]:
+    """Return the seconds of a model's unit of time, and notes.
+
+    Parameters
+    ----------
+    model : libsbml.Model
+        The model.
+    asked : str, optional
+        The unit that the case gives: it holds before that of the file; by default the unit that the file states (Level 3:
+        ``timeUnits``; Level 1 and 2: the unit ``time``, which is the second unless the file defines another), else the second.
+    """
+    stated = _stated(model)
+    if asked is None:
+        return (
+            (1.0, ["The file does not state its unit of time; seconds are taken."]) if stated is None else (stated, [])
+        )
+    seconds = unit_factor(asked, "s")
+    if stated is not None and model.getLevel() > 2 and abs(stated - seconds) > 1e-9 * seconds:
+        return seconds, [
+            f"The file states a unit of time of {stated:g} s; network.time_unit = {asked} is taken instead."
+        ]
+    return seconds, []
+
+
+def _stated(model: Any) -> float | None:
+    """Return the seconds of the unit that a file states; None if it states none, or time without a dimension."""
+    name = model.getTimeUnits() if model.getLevel() > 2 else "time"
+    unit = model.getUnitDefinition(name)
+    if unit is None:
+        return 1.0 if name == "second" or model.getLevel() < 3 else None
+    if unit.getNumUnits() == 1 and unit.getUnit(0).isSecond() and unit.getUnit(0).getExponentAsDouble() == 1.0:
+        one = unit.getUnit(0)
+        return float(one.getMultiplier() * 10.0 ** one.getScale())
+    if unit.getNumUnits() and not all(unit.getUnit(k).isDimensionless() for k in range(unit.getNumUnits())):
+        raise InputError(f'its unit of time, "{name}", is none of time; define it by seconds')
+    return None
