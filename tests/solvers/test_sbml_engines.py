@@ -253,3 +253,21 @@ def test_a_fast_reaction_is_refused(tmp_path):
     path.write_text(sbml(decay().replace('reversible="false"', 'reversible="false" fast="true"'), version=1))
     with pytest.raises(InputError, match='reaction "r" is fast, at equilibrium at all times'):
         read_sbml(path)
+
+
+def test_a_rate_rule_of_a_concentration_in_a_volume_that_grows_and_jumps(course):
+    """X' = 1 whatever the volume 1 + t does, but as it doubles at 1.2 s, the amount stays: X halves."""
+    kinds = listed("Species", species("X", density=0.0, boundary="true"))
+    rules = listed("Rules", rule("rate", "X", 1.0), rule("rate", "c", 1.0))
+    jump = listed("Events", event(("geq", "time", 1.2), {"c": ("times", 2.0, "c")}))
+    near(course(cell(1.0, "false") + kinds + rules + jump)["X"], np.where(TIMES < 1.2, TIMES, TIMES - 0.6))
+
+
+def test_an_event_sets_a_concentration_with_a_rate_rule(course):
+    """Semantic case 01511, its pulse and delay: X = 0.4 t, at 0.55 s set to 0.2, so 0.22 at 0.6 s; c = 0.5 + 0.2 t."""
+    kinds = listed("Species", species("X", density=0.0, boundary="true"))
+    rules = listed("Rules", rule("rate", "X", 0.4), rule("rate", "c", 0.2))
+    pulse = ("and", ("gt", "X", 0.18), ("lt", "X", 0.2))
+    late = listed("Events", event(pulse, {"X": 0.2}, delay=0.1))
+    found = course(cell(0.5, "false") + kinds + rules + late, times=np.linspace(0.0, 1.0, 11))
+    near(found["X"][[5, 6, 10]], [0.2, 0.22, 0.38])

@@ -78,8 +78,8 @@ BOOLEAN: dict[str, Callable] = {
 FUNCTIONS: dict[str, Callable] = {
     "plus": _folded(lambda a, b: a + b, 0.0),
     "times": _folded(lambda a, b: a * b, 1.0),
-    "minus": lambda a, b=None: -a if b is None else a - b,
-    "divide": lambda a, b: a / b,
+    "minus": lambda a, b=None: -jnp.asarray(a, float) if b is None else jnp.asarray(a, float) - b,
+    "divide": lambda a, b: jnp.asarray(a, float) / b,
     "power": lambda a, b: jnp.asarray(a, float) ** b,
     "root": lambda degree, a: jnp.asarray(a, float) ** (1.0 / degree),
     "log": lambda base, a: jnp.log(a) / jnp.log(base),

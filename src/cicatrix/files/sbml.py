@@ -116,11 +116,16 @@ def _kinetics(equations: Equations, seconds: float, changes: Changes) -> Network
         seconds=seconds,
         initial=ordered({one: rule for one, rule in (start | derived).items() if one in used}, {*constants, TIME}),
         volumes=tuple(equations.volumes.get(one, "") for one in states),
-        shown=tuple(one for one in equations.columns if one not in equations.rates),
+        shown=tuple(one for one in _columns(equations, derived) if one not in equations.rates),
     )
     at_start = np.array([values[one] for one in states])
     high = np.where(at_start > 0.0, 2.0 * at_start, 1.0)
     return NetworkModel(law, at_start, np.asarray(law.values), high, None, False)
+
+
+def _columns(equations: Equations, derived: Mapping[str, Expression]) -> tuple[str, ...]:
+    """Return the columns of a result: those of the model, and the constants that follow other constants."""
+    return tuple(dict.fromkeys([*equations.columns, *derived]))
 
 
 def _followers(equations: Equations, start: Mapping[str, Expression], changes: Changes) -> dict[str, Expression]:
@@ -150,12 +155,10 @@ def _delegated(equations: Equations, seconds: float, changes: Changes) -> Networ
     kept = {one: value for one, value in values.items() if one in equations.given and one not in derived}
     events = [*equations.events, *_steps(known, seconds)]
     text, ids = parameters_text(kept, equations.rates, {**equations.assigned, **derived}, events)
-    features = ", ".join(equations.features)
-    law = DelegatedNetwork(
-        equations.columns, tuple(constants), text, tuple(ids[one] for one in equations.columns), bool(events), seconds
-    )
+    features, shown = ", ".join(equations.features), _columns(equations, derived)
+    law = DelegatedNetwork(shown, tuple(constants), text, tuple(ids[one] for one in shown), bool(events), seconds)
     note = f"libroadrunner simulates this model, since it has {features}; steady states and sensitivities are not computed."
-    columns = np.array([np.nan for _ in equations.columns])
+    columns = np.array([np.nan for _ in shown])
     return NetworkModel(law, columns, np.array([file[one] for one in constants]), columns, None, False, (note,))
 
 

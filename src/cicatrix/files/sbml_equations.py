@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Any, NamedTuple
 
-from ..biology.expressions import TIME, Expression, name, names_in, number
+from ..biology.expressions import TIME, Expression, name, names_in, needed, number
 from ..biology.rules import unknown_species
 from ..core.errors import InputError
 from .sbml_algebra import solved
@@ -123,6 +123,7 @@ class _Translation:
         self.assigned |= solved(self.algebraic, self._undetermined(), self.assigned)
         changed = {*self.rates, *self.assigned, *self.by_events, *varying}
         self.varying = {one.getId() for one in model.getListOfCompartments() if one.getId() in changed}
+        self.jumping = self.varying & {*self.by_events, *varying}
         self.volumes = {one.getId(): one.getCompartment() for one in self.species.values() if self._is_dense(one)}
 
     def equations(self) -> Equations:
@@ -138,8 +139,12 @@ class _Translation:
         known = {*given, *self.assigned, TIME}
         self._refuse_unknown(known)
         found = {one: rule or self.initial[one] for one, rule in given.items() if one not in self.assigned}
-        self.events = [self._on_amounts(event) for event in self.events]
         self._add_reactions()
+        self._follow_jumps()
+        self.rates |= {
+            one: self._diluted(one, number(0.0)) for one in self._unruled() if not self._is_split(self.volumes[one])
+        }
+        self.events = [self._on_amounts(event) for event in self.events]
         for one in self._held_amounts():
             self._hold_amount(one, found)
         self._add_rates_of()
@@ -325,7 +330,18 @@ class _Translation:
         volume = self.volumes.get(of)
         if volume is None:
             return of, rate
-        return (amount_of(of), rate) if volume in self.varying else (of, ("divide", rate, name(volume)))
+        return (amount_of(of), rate) if self._is_split(volume) else (of, self._diluted(of, rate))
+
+    def _is_split(self, volume: str) -> bool:
+        """Return whether amounts in a compartment are quantities of their own, since its size is not smooth or has no rate."""
+        return volume in self.jumping or (volume in self.varying and volume not in self.rates)
+
+    def _diluted(self, of: str, rate: Expression) -> Expression:
+        """Return the rate of a concentration from that of the amount: (A' - S V') / V."""
+        volume = self.volumes[of]
+        if volume in self.rates:
+            rate = ("minus", rate, ("times", name(of), self.rates[volume]))
+        return ("divide", rate, name(volume))
 
     def _stoichiometry(self, reference: Any, sign: float) -> Expression:
         if reference.isSetStoichiometryMath() and reference.getStoichiometryMath().isSetMath():
@@ -334,10 +350,27 @@ class _Translation:
             return ("times", number(sign), name(reference.getId()))
         return number(sign * (reference.getStoichiometry() if reference.isSetStoichiometry() else 1.0))
 
-    def _held_amounts(self) -> list[str]:
+    def _follow_jumps(self) -> None:
+        """Turn rate rules of concentrations into rates of amounts, which stay where a volume jumps: A' = V S' + S V'."""
+        for one, volume in self.volumes.items():
+            if one not in self.rates or not self._is_split(volume):
+                continue
+            if volume in self.jumping:
+                spread = ("times", name(one), self.rates.get(volume, number(0.0)))
+                self.rates[amount_of(one)] = ("plus", ("times", name(volume), self.rates.pop(one)), spread)
+            elif needed([volume], self.assigned) & self.by_events:
+                raise InputError(
+                    f'species "{one}" has a rate rule, and events change what the size of its compartment "{volume}" depends on'
+                )
+
+    def _unruled(self) -> list[str]:
         """Return the species whose concentration changes with their compartment, since nothing determines it otherwise."""
         fixed = {*self.rates, *self.assigned}
         return [one for one, volume in self.volumes.items() if volume in self.varying and one not in fixed]
+
+    def _held_amounts(self) -> list[str]:
+        """Return those of them whose amount is a quantity of its own."""
+        return [one for one in self._unruled() if self._is_split(self.volumes[one])]
 
     def _hold_amount(self, species: str, given: dict[str, Expression]) -> None:
         """Make the amount of a species a quantity, and its concentration the quotient of amount and volume."""

@@ -31,7 +31,7 @@ def sbml_text(path: Path) -> str:
         raise InputError(f"{path} is empty")
     scan = _Scan(path)
     scan.parse(raw)
-    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", raw.decode(scan.encoding(raw)).lstrip("\ufeff"))
+    text = re.sub(r"^\s*<\?xml[^>]*\?>", "", raw.decode(scan.encoding(raw), errors="replace").lstrip("\ufeff"))
     return text.replace("\r\n", "\n")
 
 
