@@ -132,26 +132,12 @@ SPECIES = (
     'stoichiometry="1" constant="true"/></listOfReactants>{}</reaction></listOfReactions>'
 )
 REFUSED = {
-    "events": (
-        RULE.format(f'<rateRule variable="x"><math {MATH}><cn>1</cn></math></rateRule>')
-        + '<listOfEvents><event useValuesFromTriggerTime="true"><trigger initialValue="true" persistent="true">'
-        f"<math {MATH}><apply><gt/><ci>x</ci><cn>2</cn></apply></math></trigger></event></listOfEvents>",
-        "uses events, which cicatrix does not support",
-    ),
-    "algebraic": (
-        RULE.format(f"<algebraicRule><math {MATH}><apply><minus/><ci>x</ci><cn>1</cn></apply></math></algebraicRule>"),
-        "uses algebraic rules, which cicatrix does not support",
-    ),
     "delay": (
         RULE.format(
             f'<rateRule variable="x"><math {MATH}><apply><csymbol encoding="text" '
             'definitionURL="http://www.sbml.org/sbml/symbols/delay">delay</csymbol><ci>x</ci><cn>1</cn></apply></math></rateRule>'
         ),
-        "uses delays, which cicatrix does not support",
-    ),
-    "function": (
-        RULE.format(f'<rateRule variable="x"><math {MATH}><apply><factorial/><ci>x</ci></apply></math></rateRule>'),
-        'uses the function "factorial", which cicatrix does not support',
+        "uses delays (values of the past), which neither cicatrix nor libroadrunner can integrate",
     ),
     "unknown": (
         SPECIES.format(f"<kineticLaw><math {MATH}><apply><times/><ci>K</ci><ci>S</ci></apply></math></kineticLaw>"),
@@ -162,7 +148,7 @@ REFUSED = {
         'the rule of "x" names the unknown id "speed"; known: x',
     ),
     "without a law": (SPECIES.format(""), 'reaction "r" has no kinetic law'),
-    "nothing": ("", "nothing changes in this model: it has no reaction and no rate rule"),
+    "nothing": ("", "nothing changes in this model: it has no reaction, no rule and no event that changes a quantity"),
     "no initial value": (
         '<listOfParameters><parameter id="x" constant="false"/></listOfParameters><listOfRules>'
         f'<rateRule variable="x"><math {MATH}><cn>1</cn></math></rateRule></listOfRules>',

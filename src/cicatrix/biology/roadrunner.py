@@ -18,6 +18,7 @@ else:
 
 MISSING = "it has features beyond a rate law, and needs libroadrunner: pip install 'cicatrix[sbml]'"
 TIGHT = 1e-9  # relative tolerance, if the case asks for none below it
+ABSOLUTE = 1e-12  # absolute tolerance, relative to the smallest value of the model
 STEPS = 20  # least number of steps between two rows while there are events, so that no condition passes unseen
 
 
@@ -74,12 +75,17 @@ class DelegatedNetwork(NamedTuple):
         engine.timeCourseSelections = ["time", *self.ids]
         integrator = engine.integrator
         integrator.relative_tolerance = min(accuracy.relative, TIGHT)
-        scale = [abs(one) for one in engine.model.getGlobalParameterValues() if one]
-        integrator.absolute_tolerance = max(min(accuracy.absolute, 1e-9 * min([1.0, *scale])), 1e-100)
+        scale = [abs(one) for one in engine.model.getGlobalParameterValues() if one and np.isfinite(one)]
+        integrator.absolute_tolerance = max(min(accuracy.absolute, ABSOLUTE * min([1.0, *scale])), 1e-100)
         integrator.maximum_num_steps = accuracy.max_steps
         if self.has_events:
-            integrator.maximum_time_step = float(np.diff(times).min()) / self.seconds / STEPS
+            integrator.maximum_time_step = self.longest_step(times) / self.seconds
         return engine
+
+    @staticmethod
+    def longest_step(times: np.ndarray) -> float:
+        """Return the longest time step between rows at ``times`` (n_times,) [s] while there are events [s]."""
+        return float(np.diff(times).min()) / STEPS
 
 
 def _short(error: Exception) -> str:

@@ -13,9 +13,10 @@ from ..biology.network_model import NetworkModel
 from ..biology.roadrunner import DelegatedNetwork
 from ..core.errors import InputError
 from .sbml_document import MISSING, read_document
-from .sbml_equations import Equations, Event, equations_of
+from .sbml_equations import Equations, Event
 from .sbml_parameters import parameters_text
 from .sbml_time import seconds_of
+from .sbml_translation import equations_of
 
 __all__ = ["MISSING", "Changes", "read_sbml"]
 LARGEST_RATE = 1e150  # a rate beyond which nothing can be integrated
@@ -72,13 +73,14 @@ def _starting(equations: Equations, free: Iterable[str]) -> dict[str, Expression
     return own | {one: number(values[one]) for one in values if one in free and one in equations.constants()}
 
 
-def _evaluated(rules: Mapping[str, Expression], asked: Iterable[str], finite: bool = True) -> dict[str, float]:
-    """Evaluate names, and all on which they depend, at time 0."""
+def _evaluated(rules: Mapping[str, Expression], asked: Iterable[str], states: Iterable[str] = ()) -> dict[str, float]:
+    """Evaluate names, and all on which they depend, at time 0; those in ``states`` must be finite."""
     found: dict[str, float] = {TIME: 0.0}
     asked = needed(asked, rules)
     for one, rule in ordered({one: rule for one, rule in rules.items() if one in asked}, {TIME}):
         found[one] = float(np.asarray(evaluate(rule, found)))
-        if finite and not np.isfinite(found[one]):
+    for one in states:
+        if not np.isfinite(found[one]):
             raise InputError(f'"{one}" starts at {found[one]}, which is not a finite number')
     return found
 
@@ -87,7 +89,7 @@ def _refuse_odd_rates(equations: Equations, start: Mapping[str, Expression]) -> 
     """Refuse a model whose rates at time 0 are no numbers or beyond all measure; the message names the reaction or the rule."""
     everything = {**start, **{f"rate {one}": rule for one, rule in equations.rates.items()}}
     for of, rule in equations.rates.items():
-        values = _evaluated(everything, [f"rate {of}"], finite=False)
+        values = _evaluated(everything, [f"rate {of}"])
         if abs(values[f"rate {of}"]) < LARGEST_RATE:
             continue
         reactions = [one for one in names_in(rule) if one in equations.assigned and not abs(values[one]) < LARGEST_RATE]
@@ -103,7 +105,7 @@ def _kinetics(equations: Equations, seconds: float, changes: Changes) -> Network
     start, states = _starting(equations, changes), [*equations.rates]
     derived = equations.derived({*changes}) | _followers(equations, start, changes)
     constants = [one for one in equations.constants() if one not in derived]
-    values = _evaluated(start, [*constants, *states])
+    values = _evaluated(start, [*constants, *states], states)
     _refuse_odd_rates(equations, start)
     assigned = ordered({**equations.assigned, **derived}, {*constants, *states, TIME})
     used = needed(states, {one: rule for one, rule in (start | derived).items() if one not in constants}) - {*constants}
@@ -144,7 +146,7 @@ def _delegated(equations: Equations, seconds: float, changes: Changes) -> Networ
     first = {one: dict(steps)[0.0] for one, steps in known.items() if 0.0 in dict(steps)}
     derived = equations.derived({*known})
     constants = [one for one in equations.constants() if one not in derived]
-    file = _evaluated(start, [*constants, *equations.rates])
+    file = _evaluated(start, [*constants, *equations.rates], equations.rates)
     start |= {one: number(value) for one, value in first.items() if one not in sizes}
     values = _evaluated(start, [one for one in equations.given if one not in equations.assigned]) | {
         one: value for one, value in first.items() if one in sizes

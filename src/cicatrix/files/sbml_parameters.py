@@ -44,7 +44,8 @@ def _list(name: str, parts: Iterable[str]) -> str:
 
 
 def _parameter(id_of: str, value: float | None) -> str:
-    given = "" if value is None else f' value="{value:.17g}"'
+    words = {"inf": "INF", "-inf": "-INF", "nan": "NaN"}
+    given = "" if value is None else f' value="{words.get(str(value), f"{value:.17g}")}"'
     return f'<parameter id="{id_of}"{given} constant="false"/>'
 
 

@@ -14,7 +14,8 @@ BYTE_MARKS = {b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16", b"\xef\xbb\xbf": "ut
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|[+-]?INF|NaN")
 WHOLE = re.compile(r"[+-]?\d+")
 NUMERIC = ["value", "size", "volume", "initialAmount", "initialConcentration", "stoichiometry", "spatialDimensions"]
-NUMERIC += ["multiplier", "exponent", "scale", "denominator"]  # attributes of SBML that are numbers
+NUMERIC += ["multiplier", "exponent", "scale"]  # attributes of SBML that are numbers
+OWNERS = ["compartment", "species", "parameter", "localParameter", "speciesReference", "unit"]
 
 
 def sbml_text(path: Path) -> str:
@@ -84,7 +85,7 @@ class _Scan:
         self.root = self.root or word
         if self.depth > DEEPEST:
             self._refuse(f"elements are nested more than {DEEPEST} deep; split the formula into assignment rules")
-        for key in NUMERIC if word not in ("cn", "ci", "csymbol") else ():
+        for key in NUMERIC if word in OWNERS else ():
             if not NUMBER.fullmatch(attributes.get(key, "0").strip()):
                 self._refuse(f'{key} of <{word}> must be a decimal number; got "{attributes[key]}"')
         if word == "sep":

@@ -7,12 +7,18 @@ from typing import Any, Literal, NamedTuple
 
 import diffrax
 import jax.numpy as jnp
+import optimistix
 from jax import Array
 
 from ..core.precision import use_double_precision
 
 Method = Literal["implicit", "explicit"]
-SOLVERS: dict[str, Callable[[], diffrax.AbstractSolver]] = {"implicit": diffrax.Kvaerno5, "explicit": diffrax.Tsit5}
+CHORD = diffrax.with_stepsize_controller_tols(optimistix.Chord)()
+"""Newton's method with one Jacobian per stage: diffrax's own variant takes updates of the size of rounding for divergence."""
+SOLVERS: dict[str, Callable[[], diffrax.AbstractSolver]] = {
+    "implicit": lambda: diffrax.Kvaerno5(root_finder=CHORD),
+    "explicit": diffrax.Tsit5,
+}
 Rate = Callable[[Any, Array, Array], Array]
 """Right-hand side of the equation: (parameters, y, time) -> dy/dt, with the shape of y."""
 

@@ -28,10 +28,10 @@ from .build import (
     longest_s,
     outputs_of,
     refuse_unknown,
-    row_times,
     starts_of,
 )
 from .case import SignallingCase
+from .delegated import DelegatedRun
 from .figures import branches_figure, courses_figure, sensitivities_figure, states_figure
 from .network import read_model
 
@@ -74,14 +74,13 @@ class SignallingRun(Simulation[NetworkState]):
         self.notes = list(self.model.notes)
         self.chunks = chunks(case, self.model)
         self.names = (*self.model.law.species, *self.model.law.shown)
-        if not self._is_delegated:
-            start = self.model.law.begin(jnp.asarray(self.model.start), jnp.asarray(self.chunks[0].inputs))
-            self.model = self.model._replace(start=np.asarray(start))
+        start = self.model.law.begin(jnp.asarray(self.model.start), jnp.asarray(self.chunks[0].inputs))
+        self.model = self.model._replace(start=np.asarray(start))
 
-    @property
-    def _is_delegated(self) -> bool:
-        """Whether libroadrunner integrates the network: then in one pass, without steady states and sensitivities."""
-        return isinstance(self.model.law, DelegatedNetwork)
+    @classmethod
+    def of(cls, case: SignallingCase) -> type[Simulation]:
+        """Return the class that simulates a case: another one, if its SBML file is beyond rate laws."""
+        return DelegatedRun if isinstance(read_model(case).law, DelegatedNetwork) else cls
 
     @cached_property
     def last_inputs(self) -> np.ndarray:
@@ -90,27 +89,16 @@ class SignallingRun(Simulation[NetworkState]):
 
     def start(self) -> NetworkState:
         """Return the initial state that the network's files give."""
-        if self._is_delegated:
-            return NetworkState(0, -1, self.model.start, 0)
         first = self._results(self.model.start[None], self.chunks[0].inputs, np.zeros(1))
         return NetworkState(0, 0, self.model.start, 0, ((0, 0.0, first[0]),))
 
     def march(self, state: NetworkState) -> Iterator[NetworkState]:
         """Yield the network after every chunk; if a chunk fails, yield the part that was computed, then raise the error."""
-        if isinstance(self.model.law, DelegatedNetwork):
-            yield from [self._delegated(self.model.law)] if state.chunk == 0 else []
-            return
         for chunk in self.chunks[state.chunk :]:
             state, failure = self._pass(chunk, state)
             yield state
             if failure is not None:
                 raise failure
-
-    def _delegated(self, law: DelegatedNetwork) -> NetworkState:
-        times = row_times(self.case)
-        values = law.course(seconds_from_hours(times), accuracy_of(self.case))
-        rows = tuple((number, float(time_h), y) for number, (time_h, y) in enumerate(zip(times, values)))
-        return NetworkState(len(self.chunks), len(rows) - 1, values[-1], 0, rows)
 
     def _results(self, states: np.ndarray, before: np.ndarray, times_h: np.ndarray) -> np.ndarray:
         """Return the values (n_times, n_names) of rows from the states under the inputs ``before`` the rows' times."""
@@ -176,9 +164,7 @@ class SignallingRun(Simulation[NetworkState]):
         return state.chunk / len(self.chunks), f"{reached:.4g} h of {self.chunks[-1].times_h[-1]:.4g} h simulated"
 
     def analyse(self, state: NetworkState) -> Analysis:
-        """Return steady states and sensitivities; of a delegated network, neither."""
-        if self._is_delegated:
-            return Analysis({}, {})
+        """Return steady states and sensitivities."""
         with self.context.progress.stage("steady states"):
             found = self._search(state.y)
         with self.context.progress.stage("sensitivities"):
@@ -229,10 +215,8 @@ class SignallingRun(Simulation[NetworkState]):
     def outcome(self, end: End[NetworkState]) -> dict[str, Quantity]:
         """Return the species at the end, and every steady state."""
         names, hours = self.model.law.species, end.history["time_h"][-1]
-        engine = "libroadrunner" if self._is_delegated else "cicatrix"
-        outcome = {"engine": Quantity(engine, "", "program that integrated the network")}
-        if not self._is_delegated:
-            outcome["n_solver_steps"] = Quantity(end.state.n_steps, "1", "of the course")
+        outcome = {"engine": Quantity("cicatrix", "", "program that integrated the network")}
+        outcome["n_solver_steps"] = Quantity(end.state.n_steps, "1", "of the course")
         last = {name: float(end.history[name][-1]) for name in self.names}
         outcome["end"] = Quantity(last, "1", f"at {hours:g} h")
         return outcome | _of_states(end.analysis.found, names, dict(zip(self.model.law.input_names, self.last_inputs)))
@@ -270,8 +254,8 @@ class SignallingRun(Simulation[NetworkState]):
 
     def sentence(self, end: End[NetworkState]) -> str:
         """Return a sentence on how long the network was integrated, and how many steady states were found."""
-        verdict = "" if self._is_delegated else _verdict(end.analysis.found.get(None))
-        return f"The network was simulated over {end.history['time_h'][-1]:.6g} h. {verdict}".rstrip()
+        verdict = _verdict(end.analysis.found.get(None))
+        return f"The network was simulated over {end.history['time_h'][-1]:.6g} h. {verdict}"
 
 
 def _verdict(found: SteadyStates | None) -> str:
