@@ -76,7 +76,9 @@ class DelegatedNetwork(NamedTuple):
         integrator = engine.integrator
         integrator.relative_tolerance = min(accuracy.relative, TIGHT)
         scale = [abs(one) for one in engine.model.getGlobalParameterValues() if one and np.isfinite(one)]
-        integrator.absolute_tolerance = max(min(accuracy.absolute, ABSOLUTE * min([1.0, *scale])), 1e-100)
+        absolute = max(min(accuracy.absolute, ABSOLUTE * min([1.0, *scale])), 1e-100)
+        # a vector, because a scalar tolerance is multiplied by the state and can become 0 (sys-bio/roadrunner issues 1300, 1349)
+        integrator.absolute_tolerance = [absolute] * engine.model.getNumRateRules()
         integrator.maximum_num_steps = accuracy.max_steps
         if self.has_events:
             integrator.maximum_time_step = self.longest_step(times) / self.seconds

@@ -70,7 +70,7 @@ def _refuse_faulty(path: Path, document: Any, libsbml: ModuleType) -> None:
     for k in range(document.getNumErrors()):
         error = document.getError(k)
         is_fault = error.getSeverity() in (libsbml.LIBSBML_SEV_ERROR, libsbml.LIBSBML_SEV_FATAL)
-        if is_fault and error.getErrorId() != UNKNOWN_NAME:
+        if is_fault and error.getErrorId() not in TOLERATED:
             words = " ".join(error.getMessage().split())
             raise InputError(f"{path}: line {error.getLine()}: not valid SBML: {_short(words)}")
     if document.getModel() is None:
