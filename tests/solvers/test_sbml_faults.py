@@ -260,3 +260,19 @@ FAULTS = Path(__file__).parents[3] / "shared" / "faults" / "sbml"
 @pytest.mark.skipif(not FAULTS.is_dir(), reason="the folder of failing inputs is absent")
 def test_minutes_that_a_file_states():
     assert read_sbml(FAULTS / "setia" / "m_min.xml").law.seconds == 60.0
+
+
+def test_a_compartment_that_constants_determine_is_no_variable_one(tmp_path):
+    """c := 2 k = 4 l: X = 1 mol / 4 l, and X' = -X."""
+    path = tmp_path / "model.xml"
+    size = listed("Parameters", parameter("k", 2.0, "true")) + listed(
+        "Rules", rule("assignment", "c", ("times", 2.0, "k"))
+    )
+    inside = DECAY.replace('size="1.0" constant="true"', 'constant="false"').replace(
+        "<listOfReactions>", size + "<listOfReactions>"
+    )
+    path.write_text(sbml(inside.replace(math(("times", 2.0, "S")), math(("times", "c", "S")))))
+    model = read_sbml(path)
+    np.testing.assert_allclose(model.start, [0.25])
+    np.testing.assert_allclose(model.law.rate(model.start), [-0.25])
+    np.testing.assert_allclose(model.law.begin(model.start, np.array([4.0])), [0.125])

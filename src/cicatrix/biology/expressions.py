@@ -56,7 +56,7 @@ def _one_over(of: Callable) -> Callable:
 
 
 def _of_one_over(of: Callable) -> Callable:
-    return lambda x: of(1.0 / x)
+    return lambda x: of(1.0 / jnp.asarray(x, float))
 
 
 RECIPROCALS = {"sec": "cos", "csc": "sin", "cot": "tan", "sech": "cosh", "csch": "sinh", "coth": "tanh"}

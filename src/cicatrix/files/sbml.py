@@ -19,6 +19,9 @@ from .sbml_time import seconds_of
 from .sbml_translation import equations_of
 
 __all__ = ["MISSING", "Changes", "read_sbml"]
+CHANCE = (
+    "Events of one instant follow each other by priority, and at random where that is equal: two runs may then differ."
+)
 LARGEST_RATE = 1e150  # a rate beyond which nothing can be integrated
 Changes = Mapping[str, Sequence[tuple[float, float]]]
 """Constants that change from outside: time [s] and value from then on; empty for those that are only varied between runs."""
@@ -61,7 +64,7 @@ def read_sbml(path: Path, time_unit: str | None = None, changes: Changes | None 
         build = _delegated if equations.features else _kinetics
         model = build(equations, seconds, changes)
     except InputError as error:
-        joint = " " if str(error).startswith("uses ") else ": "
+        joint = " " if str(error).startswith(("uses ", "gives ")) else ": "
         raise InputError(f"{path}{joint}{error}") from None
     return model._replace(notes=(*equations.notes, *notes, *model.notes))
 
@@ -161,7 +164,8 @@ def _delegated(equations: Equations, seconds: float, changes: Changes) -> Networ
     law = DelegatedNetwork(shown, tuple(constants), text, tuple(ids[one] for one in shown), bool(events), seconds)
     note = f"libroadrunner simulates this model, since it has {features}; steady states and sensitivities are not computed."
     columns = np.array([np.nan for _ in shown])
-    return NetworkModel(law, columns, np.array([file[one] for one in constants]), columns, None, False, (note,))
+    notes = (CHANCE, note) if len(events) > 1 else (note,)
+    return NetworkModel(law, columns, np.array([file[one] for one in constants]), columns, None, False, notes)
 
 
 def _steps(known: Changes, seconds: float) -> list[Event]:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
-from ..biology.expressions import BOOLEAN, CONSTANTS, FUNCTIONS, TIME, Expression, name, number
+from ..biology.expressions import BOOLEAN, CONSTANTS, FUNCTIONS, RECIPROCALS, TIME, Expression, name, number
 from ..core.errors import InputError
 from .sbml_document import libsbml_module
 
@@ -25,6 +25,18 @@ WORDS = {  # type of a libsbml node, without the prefix AST_ -> word of an expre
     **{f"LOGICAL_{word.upper()}": word for word in ("and", "or", "xor", "not", "implies")},
     **{f"RELATIONAL_{word.upper()}": word for word in ("eq", "neq", "lt", "leq", "gt", "geq")},
 }
+PAIRS = ("divide", "power", "root", "log", "quotient", "rem", "implies", "neq")
+LISTS = {
+    "plus": 0,
+    "times": 0,
+    "and": 0,
+    "or": 0,
+    "xor": 0,
+    "min": 1,
+    "max": 1,
+    "piecewise": 1,
+}  # least number of arguments
+LISTS |= {"eq": 2, "lt": 2, "leq": 2, "gt": 2, "geq": 2}
 VALUES = {"CONSTANT_PI": "pi", "CONSTANT_E": "exponentiale", "CONSTANT_TRUE": "true", "CONSTANT_FALSE": "false"}
 
 
@@ -59,7 +71,16 @@ def expression_of(node: Any) -> Expression:
         raise InputError("uses delays (values of the past), which neither cicatrix nor libroadrunner can integrate")
     if word not in WORDS:
         raise InputError(f'uses the function "{node.getName() or word.lower()}", which cicatrix does not support')
-    return _joined(WORDS[word], [expression_of(node.getChild(k)) for k in range(node.getNumChildren())])
+    return _joined(WORDS[word], [expression_of(node.getChild(k)) for k in range(_arguments(WORDS[word], node))])
+
+
+def _arguments(word: str, node: Any) -> int:
+    """Return how many arguments a function has; refuse a number that it cannot have."""
+    found = node.getNumChildren()
+    least, most = (2, 2) if word in PAIRS else (1, 2 if word == "minus" else 1)
+    if not (LISTS[word] <= found if word in LISTS else least <= found <= most):
+        raise InputError(f"gives <{word}/> {found} arguments, which is not what this function takes")
+    return found
 
 
 def _joined(word: str, parts: list[Expression]) -> Expression:
@@ -92,11 +113,22 @@ def mathml(expression: Expression, ids: Mapping[str, str], boolean: bool = False
         return '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time">t</csymbol>'
     if word == "piecewise":
         return _pieces(parts, ids, boolean)
+    if (plain := _plain(word, parts)) is not None:
+        return mathml(plain, ids)
     of_truth = word in ("and", "or", "xor", "not", "implies") or (word in ("eq", "neq") and all(map(is_boolean, parts)))
     inside = [mathml(part, ids, of_truth) for part in parts]
     if word in ("root", "log"):
         inside[0] = f"<degree>{inside[0]}</degree>" if word == "root" else f"<logbase>{inside[0]}</logbase>"
     return f"<apply><{word}/>{''.join(inside)}</apply>"
+
+
+def _plain(word: str, parts: list[Expression]) -> Expression | None:
+    """Return secant, cosecant and cotangent, and their inverses, by cosine, sine and tangent; None for other functions."""
+    if word in RECIPROCALS:
+        return ("divide", number(1.0), (RECIPROCALS[word], *parts))
+    if word.startswith("arc") and word[3:] in RECIPROCALS:
+        return (f"arc{RECIPROCALS[word[3:]]}", ("divide", number(1.0), *parts))
+    return None
 
 
 def _converted(expression: Expression, ids: Mapping[str, str], boolean: bool) -> str:

@@ -59,7 +59,7 @@ class _Translation:
         for reaction in model.getListOfReactions():
             self._add_law(reaction)
         self.assigned |= solved(self.algebraic, self._undetermined(), self.assigned)
-        changed = {*self.rates, *self.assigned, *self.by_events, *varying}
+        changed = {*self.rates, *self._changing_formulas(), *self.by_events, *varying}
         self.varying = {one.getId() for one in model.getListOfCompartments() if one.getId() in changed}
         self.jumping = self.varying & {*self.by_events, *varying}
         self.volumes = {one.getId(): one.getCompartment() for one in self.species.values() if self._is_dense(one)}
@@ -110,6 +110,10 @@ class _Translation:
         return None
 
     def _refuse_odd_compartments(self) -> None:
+        for one in self.species.values():
+            if self.model.getCompartment(one.getCompartment()) is None:
+                words = f'"{one.getCompartment()}", which the model has not' if one.getCompartment() else "none"
+                raise InputError(f'species "{one.getId()}" must be in a compartment of the model; it is in {words}')
         for one in self.model.getListOfCompartments():
             if one.isSetSize() and one.getSize() < 0.0:
                 raise InputError(f'compartment "{one.getId()}" has the size {one.getSize():g}; it must be above 0')
@@ -152,6 +156,16 @@ class _Translation:
             raise InputError(f'reaction "{reaction.getId()}" has no kinetic law')
         law = self._math(reaction.getKineticLaw(), f'the kinetic law of "{reaction.getId()}"')
         self.assigned[reaction.getId()] = number(0.0) if law is None else law
+
+    def _changing_formulas(self) -> set[str]:
+        """Return the quantities whose formulas depend on the time or on anything that changes."""
+        moved = {one.getSpecies() for _, one, _ in self._references()}
+        changing = {TIME, *self.rates, *self.by_events, *moved}
+        while True:
+            more = {one for one, rule in self.assigned.items() if names_in(rule) & changing} - changing
+            if not more:
+                return changing & self.assigned.keys()
+            changing |= more
 
     def _undetermined(self) -> list[str]:
         """Return the quantities that only an algebraic rule can determine."""
