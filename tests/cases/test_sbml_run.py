@@ -93,7 +93,7 @@ def test_what_a_delegated_network_cannot_is_said(case_file):
 def test_a_compartment_that_a_case_changes_keeps_the_amounts(case_file, tmp_path):
     """In 1 l, from 1 h on in 4 l: X = exp(-t), then exp(-t) / 4, at 1 h already; the rate law has the engine of our own."""
     model = re.sub("<listOfEvents>.*</listOfEvents>", "", DOSES, flags=re.DOTALL)
-    solver = "[solver]\nrelative_tolerance = 1e-9\nabsolute_tolerance = 1e-12\n"
+    solver = '[solver]\nmethod = "explicit"\nrelative_tolerance = 1e-9\nabsolute_tolerance = 1e-12\n'
     path = case_file(model, solver + '[set]\nc = { time_h = [1.0], value = [4.0] }\n[sensitivity]\nat = "none"\n')
     assert main(["run", str(path), "--out", str(tmp_path / "run")]) == 0
     history = read_history(tmp_path / "run" / "history.csv")

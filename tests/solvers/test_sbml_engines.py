@@ -271,3 +271,68 @@ def test_an_event_sets_a_concentration_with_a_rate_rule(course):
     late = listed("Events", event(pulse, {"X": 0.2}, delay=0.1))
     found = course(cell(0.5, "false") + kinds + rules + late, times=np.linspace(0.0, 1.0, 11))
     near(found["X"][[5, 6, 10]], [0.2, 0.22, 0.38])
+
+
+def test_semantic_case_1044(course):
+    """S1 + S2 <-> S3 with 0 = kf - 0.75; start, constants and results (two rows) of sbml-test-suite, semantic 01044."""
+    kinds = listed("Species", species("S1", 0.01), species("S2", 0.02), species("S3", 0.01))
+    constants = listed("Parameters", parameter("kf"), parameter("kr", 0.25, "true"))
+    zero = listed("Rules", rule("algebraic", "", ("plus", "kf", "<cn>-0.75</cn>")))
+    rate = ("minus", ("times", "c", ("plus", ("times", "kf", "S1", "S2"), ("times", "<cn>-1</cn>", "kr", "S3"))))
+    found = course(
+        cell() + kinds + constants + zero + listed("Reactions", reaction("r", ["S3"], ["S1", "S2"], rate)),
+        times=np.array([0.0, 0.5, 25.0]),
+    )
+    near(found["S1"], [0.01, 0.01109831734297234, 0.01842142728181884])
+    near(found["S3"], [0.01, 0.008901682657027653, 0.001578572718181171])
+
+
+def test_semantic_case_930(course):
+    """Of two events of one instant, the one of lower priority is executed last; results of sbml-test-suite, semantic 00930."""
+    kinds = listed("Species", species("S1", 0.0), species("S2", 0.0))
+    one = event(("geq", "time", 1.0), {"S1": 4.0, "S2": 5.0}, priority=1.0)
+    two = event(("geq", "time", 1.0), {"S1": 1.0, "S2": 2.0}, priority=0.0)
+    found = course(cell() + kinds + listed("Events", one, two), times=np.array([0.0, 0.96, 1.0, 2.0]))
+    near(found["S1"], [0.0, 0.0, 1.0, 1.0])
+    near(found["S2"], [0.0, 0.0, 2.0, 2.0])
+
+
+def test_semantic_case_1106(course):
+    """X' = Xref, Xref := p1, and p1 = 2 from X = 2 on, at 1 s; model of sbml-test-suite, semantic 01106, closed form by hand."""
+    made = reference("X", None, 'id="Xref" constant="false"')
+    inside = (
+        cell()
+        + listed("Species", species("X", density=1.0))
+        + listed("Parameters", parameter("p1", 1.0), parameter("k1", 1.0, "true"))
+        + listed("Rules", rule("assignment", "Xref", "p1"))
+        + listed("Reactions", reaction("J0", [], [made], "k1"))
+        + listed("Events", event(("geq", "X", 2.0), {"p1": 2.0}))
+    )
+    found = course(inside)
+    near(found["X"], np.where(TIMES < 1.0, 1.0 + TIMES, 2.0 * TIMES))
+    near(found["Xref"][TIMES != 1.0], np.where(TIMES < 1.0, 1.0, 2.0)[TIMES != 1.0])
+
+
+def test_semantic_case_993(course):
+    """X' = Xref, Xref := p1, 0 = X - p1: X = exp(t); model of sbml-test-suite, semantic 00993, closed form by hand."""
+    made = reference("X", 1.0, 'id="Xref" constant="false"')
+    inside = (
+        cell()
+        + listed("Species", species("X", density=1.0))
+        + listed("Parameters", parameter("p1"), parameter("k1", 1.0, "true"))
+        + listed("Rules", rule("algebraic", "", ("minus", "X", "p1")), rule("assignment", "Xref", "p1"))
+        + listed("Reactions", reaction("J0", [], [made], "k1"))
+    )
+    near(course(inside)["X"], np.exp(TIMES))
+
+
+def test_semantic_case_1208(course):
+    """c = 0.5 + 0.2 t and S1' = -0.2 S1 / c: S1 = 3 / c; model of sbml-test-suite, semantic 01208, closed form by hand."""
+    kinds = listed("Species", species("S1", 3.0, boundary="true"))
+    rules = [
+        rule("rate", "S1", ("divide", ("times", "<cn>-0.2</cn>", "S1"), "c")),
+        rule("rate", "c", 0.2),
+        rule("assignment", "x", "S1"),
+    ]
+    found = course(cell(0.5, "false") + kinds + listed("Parameters", parameter("x")) + listed("Rules", *rules))
+    near(found["x"], 3.0 / (0.5 + 0.2 * TIMES))

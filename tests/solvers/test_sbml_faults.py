@@ -9,6 +9,7 @@ import pytest
 from sbml_models import TIME, assignment, cell, listed, math, parameter, reaction, rule, sbml, species
 
 from cicatrix.biology.courses import end_state, integrate
+from cicatrix.biology.sensitivity import of_end
 from cicatrix.core.errors import InputError
 from cicatrix.files.sbml import read_sbml
 from cicatrix.numerics.ode import Accuracy
@@ -181,7 +182,9 @@ SET = (
 
 def end(law, inputs, start):
     held = jnp.array(inputs)
-    return float(integrate(law, held, law.begin(start, held), jnp.array([0.0, 1.0]), Accuracy(1e-9, 1e-12)).y[-1, 0])
+    return float(
+        integrate(law, held, law.begin(start, held), jnp.array([0.0, 1.0]), Accuracy(1e-9, 1e-12, "explicit")).y[-1, 0]
+    )
 
 
 def test_what_depends_on_a_value_that_is_set_follows_it(tmp_path):
@@ -219,7 +222,7 @@ def test_a_compartment_that_changes_later_keeps_the_amounts(tmp_path):
     law = read_sbml(path).law
     np.testing.assert_allclose(law.carried(np.array([0.5]), np.array([1.0, 1.0]), np.array([4.0, 1.0])), [0.125])
     inputs = np.array([[1.0, 0.0], [4.0, 0.0]])
-    kept = end_state(law, inputs, np.ones(1), np.array([0.0, 1.0, 2.0]), Accuracy())
+    kept = end_state(law, inputs, np.ones(1), np.array([0.0, 1.0, 2.0]), Accuracy(method="explicit"))
     np.testing.assert_allclose(kept, [0.25], rtol=1e-6)
 
 
@@ -276,3 +279,14 @@ def test_a_compartment_that_constants_determine_is_no_variable_one(tmp_path):
     np.testing.assert_allclose(model.start, [0.25])
     np.testing.assert_allclose(model.law.rate(model.start), [-0.25])
     np.testing.assert_allclose(model.law.begin(model.start, np.array([4.0])), [0.125])
+
+
+def test_the_sensitivity_to_a_constant_carries_through(tmp_path):
+    """X(1) = exp(-2 k1) / c: dX/dk1 = -2 exp(-2) = -0.2707 and, as the amount stays, dX/dc = -exp(-2)."""
+    path = tmp_path / "model.xml"
+    path.write_text(sbml(SET))
+    model = read_sbml(path)
+    at, inputs = np.array([0.0, 1.0]), np.array([[1.0, 1.0]])
+    by = of_end(model.law, inputs, model.start, at, Accuracy(1e-7, 1e-9, "explicit", 32))["input"]
+    assert model.law.input_names == ("c", "k1")
+    np.testing.assert_allclose(by, [[-np.exp(-2.0), -2.0 * np.exp(-2.0)]], rtol=1e-5)
