@@ -100,3 +100,15 @@ def test_a_compartment_that_a_case_changes_keeps_the_amounts(case_file, tmp_path
     right = np.exp(-history["time_h"]) / np.where(history["time_h"] < 1.0, 1.0, 4.0)
     np.testing.assert_allclose(history["X"], right, rtol=1e-6)
     assert json.loads((tmp_path / "run" / "outcome.json").read_text())["engine"]["value"] == "cicatrix"
+
+
+def test_a_delegated_network_that_has_no_course_is_told(case_file, tmp_path, capfd):
+    """By hand: x' = x^2 from 1 has no value at 1 h."""
+    grow = f'<rateRule variable="k"><math {MATH}><apply><times/><ci>k</ci><ci>k</ci></apply></math></rateRule>'
+    model = DOSES.replace('value="1" constant="true"', 'value="1" constant="false"')
+    model = model.replace("<listOfReactions>", f"<listOfRules>{grow}</listOfRules><listOfReactions>")
+    path = case_file(model, "[solver]\nmax_steps = 2000\n")
+    assert main(["run", str(path), "--out", str(tmp_path / "run")]) == 3
+    told = capfd.readouterr().err.splitlines()
+    assert sum(line.startswith("cicatrix: libroadrunner could not follow the model to its end (") for line in told) == 1
+    assert not [line for line in told if "CVode" in line and not line.startswith("cicatrix: ")]

@@ -3,6 +3,7 @@
 import re
 from pathlib import Path
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -281,6 +282,16 @@ def test_a_compartment_that_constants_determine_is_no_variable_one(tmp_path):
     np.testing.assert_allclose(model.law.begin(model.start, np.array([4.0])), [0.125])
 
 
+def test_the_rate_depends_on_a_constant_by_way_of_another(tmp_path):
+    """X' = -k2 X with k2 := 2 k1: dX'/dk1 = -2 X."""
+    path = tmp_path / "model.xml"
+    path.write_text(sbml(SET))
+    law = read_sbml(path).law
+    by = jax.jacfwd(lambda inputs: law.rate(jnp.array([0.5]), inputs))(jnp.array([1.0, 1.0]))
+    np.testing.assert_allclose(by[0, 1], -1.0)
+
+
+@pytest.mark.slow
 def test_the_sensitivity_to_a_constant_carries_through(tmp_path):
     """X(1) = exp(-2 k1) / c: dX/dk1 = -2 exp(-2) = -0.2707 and, as the amount stays, dX/dc = -exp(-2)."""
     path = tmp_path / "model.xml"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -19,7 +20,11 @@ else:
 MISSING = "it has features beyond a rate law, and needs libroadrunner: pip install 'cicatrix[sbml]'"
 TIGHT = 1e-9  # relative tolerance, if the case asks for none below it
 ABSOLUTE = 1e-12  # absolute tolerance, relative to the smallest value of the model
-STEPS = 20  # least number of steps between two rows while there are events, so that no condition passes unseen
+SILENT = (
+    "SUNLOGGER_ERROR_FILENAME",
+    "SUNLOGGER_WARNING_FILENAME",
+)  # where CVODE writes lines of its own; else standard error
+STEPS = 20  # least number of steps between two rows while there are jumps, so that no condition passes unseen
 
 
 class DelegatedNetwork(NamedTuple):
@@ -33,8 +38,8 @@ class DelegatedNetwork(NamedTuple):
     """The model as SBML, with its constants and their changes."""
     ids: tuple[str, ...]
     """Id of each column in the text (n_species,)."""
-    has_events: bool
-    """Whether quantities change at instants that the integration has to find."""
+    has_jumps: bool
+    """Whether quantities or rates jump at instants that the integration has to find."""
     seconds: float = 1.0
     """The model's unit of time [s]."""
 
@@ -60,7 +65,9 @@ class DelegatedNetwork(NamedTuple):
             found = np.array(engine.simulate(times=list(times / self.seconds)))
         except RuntimeError as error:
             raise ConvergenceError(
-                f"libroadrunner could not follow the model to its end: {_short(error)}.", []
+                f"libroadrunner could not follow the model to its end ({_short(error)}); if no quantity grows without bound or "
+                "ceases to be a number, raise solver.max_steps",
+                [],
             ) from None
         return found[:, 1:]
 
@@ -68,6 +75,8 @@ class DelegatedNetwork(NamedTuple):
         if find_spec("roadrunner") is None:
             raise InputError(MISSING)
         roadrunner.Logger.disableLogging()
+        for key in SILENT:
+            os.environ.setdefault(key, os.devnull)
         try:
             engine = roadrunner.RoadRunner(self.text)
         except RuntimeError as error:
@@ -80,15 +89,15 @@ class DelegatedNetwork(NamedTuple):
         # a vector, because a scalar tolerance is multiplied by the state and can become 0 (sys-bio/roadrunner issues 1300, 1349)
         integrator.absolute_tolerance = [absolute] * engine.model.getNumRateRules()
         integrator.maximum_num_steps = accuracy.max_steps
-        if self.has_events:
+        if self.has_jumps:
             integrator.maximum_time_step = self.longest_step(times) / self.seconds
         return engine
 
     @staticmethod
     def longest_step(times: np.ndarray) -> float:
-        """Return the longest time step between rows at ``times`` (n_times,) [s] while there are events [s]."""
+        """Return the longest time step between rows at ``times`` (n_times,) [s] while there are jumps [s]."""
         return float(np.diff(times).min()) / STEPS
 
 
 def _short(error: Exception) -> str:
-    return " ".join(str(error).split())[:300].rstrip(".")
+    return " ".join(str(error).split()).partition(";")[0][:200].rstrip(".")

@@ -161,7 +161,8 @@ def _delegated(equations: Equations, seconds: float, changes: Changes) -> Networ
     events = [*equations.events, *_steps(known, seconds)]
     text, ids = parameters_text(kept, equations.rates, {**equations.assigned, **derived}, events)
     features, shown = ", ".join(equations.features), _columns(equations, derived)
-    law = DelegatedNetwork(shown, tuple(constants), text, tuple(ids[one] for one in shown), bool(events), seconds)
+    has_jumps = bool(events) or "<piecewise>" in text
+    law = DelegatedNetwork(shown, tuple(constants), text, tuple(ids[one] for one in shown), has_jumps, seconds)
     note = f"libroadrunner simulates this model, since it has {features}; steady states and sensitivities are not computed."
     columns = np.array([np.nan for _ in shown])
     notes = (CHANCE, note) if len(events) > 1 else (note,)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from ..core.errors import InputError
 from ..core.units import unit_factor
 
 
@@ -33,7 +32,7 @@ def seconds_of(model: Any, asked: str | None) -> tuple[float, list[str]]:
 
 
 def _stated(model: Any) -> float | None:
-    """Return the seconds of the unit that a file states; None if it states none, or time without a dimension."""
+    """Return the seconds of the unit that a file states; None if it states none, or one that is not of time."""
     name = model.getTimeUnits() if model.getLevel() > 2 else "time"
     unit = model.getUnitDefinition(name)
     if unit is None:
@@ -41,6 +40,4 @@ def _stated(model: Any) -> float | None:
     if unit.getNumUnits() == 1 and unit.getUnit(0).isSecond() and unit.getUnit(0).getExponentAsDouble() == 1.0:
         one = unit.getUnit(0)
         return float(one.getMultiplier() * 10.0 ** one.getScale())
-    if unit.getNumUnits() and not all(unit.getUnit(k).isDimensionless() for k in range(unit.getNumUnits())):
-        raise InputError(f'its unit of time, "{name}", is none of time; define it by seconds')
     return None

@@ -38,9 +38,9 @@ class DelegatedRun(Simulation[DelegatedState]):
         self.law: DelegatedNetwork = self.model.law
         self.times_h = row_times(case)
         self.notes = list(self.model.notes)
-        if self.law.has_events:
+        if self.law.has_jumps:
             seen = self.law.longest_step(seconds_from_hours(self.times_h))
-            self.notes.append(f"A condition of an event that holds for less than {seen:.3g} s may pass unseen.")
+            self.notes.append(f"A condition that holds for less than {seen:.3g} s may pass unseen.")
 
     def start(self) -> DelegatedState:
         """Return the state before the pass."""
