@@ -301,3 +301,24 @@ def test_the_sensitivity_to_a_constant_carries_through(tmp_path):
     by = of_end(model.law, inputs, model.start, at, Accuracy(1e-7, 1e-9, "explicit", 32))["input"]
     assert model.law.input_names == ("c", "k1")
     np.testing.assert_allclose(by, [[-np.exp(-2.0), -2.0 * np.exp(-2.0)]], rtol=1e-5)
+
+
+def test_constants_follow_in_a_chain_and_amounts_of_constant_species_stay(tmp_path):
+    """a := 3, b := 2 a, k := b + 1: k = 7; with a = 1, k = 3. B, a boundary of 2 mol, is 2 / c where the case sets c."""
+    path = tmp_path / "model.xml"
+    chain = [assignment("a", 3.0), assignment("b", ("times", 2.0, "a")), assignment("k", ("plus", "b", 1.0))]
+    inside = (
+        cell()
+        + listed("Species", species("X", 1.0), species("B", 2.0, boundary="true"))
+        + listed("Parameters", *(parameter(one, None, "true") for one in "abk"))
+        + listed("InitialAssignments", *chain)
+        + listed("Reactions", reaction("r", ["X"], [], ("times", "k", "B", "c")))
+    )
+    path.write_text(sbml(inside))
+    law = read_sbml(path).law
+    assert law.input_names == ("c", "B", "a")
+    np.testing.assert_allclose(law.rate(np.ones(1)), [-14.0])
+    np.testing.assert_allclose(law.rate(np.ones(1), np.array([1.0, 2.0, 1.0])), [-6.0])
+    followed = read_sbml(path, None, {"c": ((0.0, 4.0),)}).law
+    assert followed.input_names == ("c", "a")
+    np.testing.assert_allclose(followed.observe(np.ones((1, 1)), np.array([4.0, 3.0])), [[0.5, 6.0, 7.0]])

@@ -56,7 +56,7 @@ class DelegatedNetwork(NamedTuple):
         Raises
         ------
         InputError
-            If libroadrunner is not installed or refuses the model.
+            If libroadrunner refuses the model.
         ConvergenceError
             If it cannot be followed to the last time.
         """
@@ -72,8 +72,6 @@ class DelegatedNetwork(NamedTuple):
         return found[:, 1:]
 
     def _engine(self, times: np.ndarray, accuracy: Accuracy) -> roadrunner.RoadRunner:
-        if find_spec("roadrunner") is None:
-            raise InputError(MISSING)
         roadrunner.Logger.disableLogging()
         for key in SILENT:
             os.environ.setdefault(key, os.devnull)
@@ -97,6 +95,12 @@ class DelegatedNetwork(NamedTuple):
     def longest_step(times: np.ndarray) -> float:
         """Return the longest time step between rows at ``times`` (n_times,) [s] while there are jumps [s]."""
         return float(np.diff(times).min()) / STEPS
+
+
+def refuse_without_engine() -> None:
+    """Refuse to go on if libroadrunner is not installed."""
+    if find_spec("roadrunner") is None:
+        raise InputError(MISSING)
 
 
 def _short(error: Exception) -> str:

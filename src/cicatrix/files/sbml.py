@@ -10,7 +10,7 @@ import numpy as np
 from ..biology.expressions import TIME, Expression, evaluate, name, names_in, needed, number, ordered
 from ..biology.kinetics import Kinetics
 from ..biology.network_model import NetworkModel
-from ..biology.roadrunner import DelegatedNetwork
+from ..biology.roadrunner import DelegatedNetwork, refuse_without_engine
 from ..core.errors import InputError
 from .sbml_document import MISSING, read_document
 from .sbml_equations import Equations, Event
@@ -90,9 +90,9 @@ def _evaluated(rules: Mapping[str, Expression], asked: Iterable[str], states: It
 
 def _refuse_odd_rates(equations: Equations, start: Mapping[str, Expression]) -> None:
     """Refuse a model whose rates at time 0 are no numbers or beyond all measure; the message names the reaction or the rule."""
-    everything = {**start, **{f"rate {one}": rule for one, rule in equations.rates.items()}}
+    asked = {f"rate {one}": rule for one, rule in equations.rates.items()}
+    values = _evaluated({**start, **asked}, asked)
     for of, rule in equations.rates.items():
-        values = _evaluated(everything, [f"rate {of}"])
         if abs(values[f"rate {of}"]) < LARGEST_RATE:
             continue
         reactions = [one for one in names_in(rule) if one in equations.assigned and not abs(values[one]) < LARGEST_RATE]
@@ -143,6 +143,7 @@ def _followers(equations: Equations, start: Mapping[str, Expression], changes: C
 
 def _delegated(equations: Equations, seconds: float, changes: Changes) -> NetworkModel:
     """Return a model for libroadrunner, with the changes of constants as events."""
+    refuse_without_engine()
     known = {one: steps for one, steps in changes.items() if one in equations.constants()}
     start = _starting(equations, known)
     sizes = set(equations.volumes.values())

@@ -58,8 +58,9 @@ class Equations(NamedTuple):
         """Return the constants that initial assignments compute from other constants; those in ``free`` are independent."""
         constants = set(self.constants())
         candidates = {one: self.initial[one] for one in self.constants() if one in self.initial and one not in free}
+        candidates = {one: rule for one, rule in candidates.items() if names_in(rule)}
         while True:
-            kept = {one: rule for one, rule in candidates.items() if names_in(rule) and names_in(rule) <= constants}
+            kept = {one: rule for one, rule in candidates.items() if names_in(rule) <= constants}
             if len(kept) == len(candidates):
                 return kept
             constants -= candidates.keys() - kept.keys()
