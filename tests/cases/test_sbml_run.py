@@ -112,3 +112,14 @@ def test_a_delegated_network_that_has_no_course_is_told(case_file, tmp_path, cap
     told = capfd.readouterr().err.splitlines()
     assert sum(line.startswith("cicatrix: libroadrunner could not follow the model to its end (") for line in told) == 1
     assert not [line for line in told if "CVode" in line and not line.startswith("cicatrix: ")]
+
+
+def test_a_row_at_the_instant_of_an_event_is_after_it(case_file):
+    """An event at 7 s, and rows every second: 1 s is no decimal number of hours."""
+    at = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time">t</csymbol><cn>7</cn>'
+    model = DOSES.replace("<leq/><ci>X</ci><cn>0.5</cn>", f"<geq/>{at}").replace("<ci>k</ci><ci>X</ci>", "<cn>0</cn>")
+    model = model.replace(f"<math {MATH}><cn>1</cn></math>", f"<math {MATH}><cn>5</cn></math>")
+    case = load_case(
+        case_file(model), ["network.time_unit=s", f"time.duration_h={10 / 3600}", f"time.step_h={1 / 3600}"]
+    )
+    np.testing.assert_allclose(cicatrix.simulate(case).history["X"], [1.0] * 7 + [5.0] * 4)

@@ -24,6 +24,7 @@ SILENT = (
     "SUNLOGGER_ERROR_FILENAME",
     "SUNLOGGER_WARNING_FILENAME",
 )  # where CVODE writes lines of its own; else standard error
+DIGITS = 12  # of the times of rows, so that a row at the instant of an event is not by rounding before it
 STEPS = 20  # least number of steps between two rows while there are jumps, so that no condition passes unseen
 
 
@@ -62,7 +63,7 @@ class DelegatedNetwork(NamedTuple):
         """
         engine = self._engine(times, accuracy)
         try:
-            found = np.array(engine.simulate(times=list(times / self.seconds)))
+            found = np.array(engine.simulate(times=[float(f"{time:.{DIGITS}g}") for time in times / self.seconds]))
         except RuntimeError as error:
             raise ConvergenceError(
                 f"libroadrunner could not follow the model to its end ({_short(error)}); if no quantity grows without bound or "
