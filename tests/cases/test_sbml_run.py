@@ -123,3 +123,24 @@ def test_a_row_at_the_instant_of_an_event_is_after_it(case_file):
         case_file(model), ["network.time_unit=s", f"time.duration_h={10 / 3600}", f"time.step_h={1 / 3600}"]
     )
     np.testing.assert_allclose(cicatrix.simulate(case).history["X"], [1.0] * 7 + [5.0] * 4)
+
+
+def test_a_rule_switches_at_the_row_of_its_instant(case_file):
+    """From 7 s on k2 is 1; rows every second, by the engine of our own: x' = 1."""
+    at = '<apply><geq/><csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time">t</csymbol><cn>7</cn></apply>'
+    piece = f"<piecewise><piece><cn>1</cn>{at}</piece><otherwise><cn>0</cn></otherwise></piecewise>"
+    names = "".join(f'<parameter id="{name}" value="0" constant="false"/>' for name in ("x", "k2"))
+    rules = (
+        f'<rateRule variable="x"><math {MATH}><cn>1</cn></math></rateRule>'
+        f'<assignmentRule variable="k2"><math {MATH}>{piece}</math></assignmentRule>'
+    )
+    model = f"{TOP}<listOfParameters>{names}</listOfParameters><listOfRules>{rules}</listOfRules></model></sbml>"
+    settings = [
+        "network.time_unit=s",
+        f"time.duration_h={10 / 3600}",
+        f"time.step_h={1 / 3600}",
+        "solver.method=explicit",
+    ]
+    history = cicatrix.simulate(load_case(case_file(model), [*settings, "sensitivity.at=none"])).history
+    np.testing.assert_array_equal(history["k2"], [0.0] * 7 + [1.0] * 4)
+    np.testing.assert_allclose(history["x"], np.arange(11.0), rtol=1e-9, atol=1e-12)

@@ -73,8 +73,13 @@ def inputs_at(case: SignallingCase, model: NetworkModel, time_h: float) -> np.nd
 def row_times(case: SignallingCase) -> np.ndarray:
     """Return the times of the history's rows [h]: 0, every multiple of ``time.step_h`` up to the duration, and the duration."""
     n = int(np.floor(case.time.duration_h / case.time.step_h * (1.0 + 1e-12)))
-    times = np.round(np.arange(n + 1) * case.time.step_h, 12)  # so that a row coincides exactly with a change of inputs
+    times = rounded(np.arange(n + 1) * case.time.step_h, 15)  # so that a row coincides exactly with a change of inputs
     return times if np.isclose(times[-1], case.time.duration_h) else np.append(times, case.time.duration_h)
+
+
+def rounded(times: np.ndarray, digits: int) -> np.ndarray:
+    """Return times to a number of significant digits."""
+    return np.array([float(f"{time:.{digits}g}") for time in times])
 
 
 def corners(case: SignallingCase) -> np.ndarray:

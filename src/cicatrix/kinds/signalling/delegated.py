@@ -37,7 +37,7 @@ class DelegatedRun(Simulation[DelegatedState]):
         assert isinstance(self.model.law, DelegatedNetwork)
         self.law: DelegatedNetwork = self.model.law
         self.times_h = row_times(case)
-        self.times = _instants(case, len(self.times_h))
+        self.times = seconds_from_hours(self.times_h)
         self.notes = list(self.model.notes)
         if self.law.has_jumps:
             seen = self.law.longest_step(self.times)
@@ -90,8 +90,3 @@ class DelegatedRun(Simulation[DelegatedState]):
     def sentence(self, end: End[DelegatedState]) -> str:
         """Return a sentence on how long the network was integrated, and by what."""
         return f"The network was simulated over {self.times_h[-1]:.6g} h by libroadrunner."
-
-
-def _instants(case: SignallingCase, n: int) -> np.ndarray:
-    """Return the times of the rows (n,) [s], without the rounding of those in hours."""
-    return seconds_from_hours(np.append(np.arange(n - 1) * case.time.step_h, case.time.duration_h))

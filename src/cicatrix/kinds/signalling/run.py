@@ -28,6 +28,7 @@ from .build import (
     longest_s,
     outputs_of,
     refuse_unknown,
+    rounded,
     starts_of,
 )
 from .case import SignallingCase
@@ -103,7 +104,7 @@ class SignallingRun(Simulation[NetworkState]):
     def _results(self, states: np.ndarray, before: np.ndarray, times_h: np.ndarray) -> np.ndarray:
         """Return the values (n_times, n_names) of rows from the states under the inputs ``before`` the rows' times."""
         inputs = np.array([inputs_at(self.case, self.model, float(time_h)) for time_h in times_h])
-        times = seconds_from_hours(times_h)
+        times = rounded(seconds_from_hours(times_h), 12)  # so that a formula switches at a row that the case puts there
         return np.asarray(results(self.model.law, *map(jnp.asarray, (states, before, inputs, times))))
 
     def _pass(self, chunk: Chunk, at: NetworkState) -> tuple[NetworkState, ConvergenceError | None]:
