@@ -336,3 +336,38 @@ def test_semantic_case_1208(course):
     ]
     found = course(cell(0.5, "false") + kinds + listed("Parameters", parameter("x")) + listed("Rules", *rules))
     near(found["x"], 3.0 / (0.5 + 0.2 * TIMES))
+
+
+JUMP = listed("Events", event(("geq", "time", 1.2), {"c": ("times", 4.0, "c")}))
+VOLUMES = {
+    "jumps": (cell(1.0, "false"), "", JUMP, np.where(TIMES < 1.2, 1.0, 4.0)),
+    "grows and jumps": (
+        cell(1.0, "false"),
+        listed("Rules", rule("rate", "c", 1.0)),
+        JUMP,
+        np.where(TIMES < 1.2, 1.0 + TIMES, 8.8 + TIMES - 1.2),
+    ),
+    "follows a parameter that jumps": (
+        cell(1.0, "false"),
+        listed("Parameters", parameter("k", 1.0)) + listed("Rules", rule("assignment", "c", ("times", 2.0, "k"))),
+        listed("Events", event(("geq", "time", 1.2), {"k": 4.0})),
+        np.where(TIMES < 1.2, 2.0, 8.0),
+    ),
+    "starts by an assignment": (
+        cell(1.0, "false"),
+        listed("InitialAssignments", assignment("c", 5.0)),
+        JUMP,
+        np.where(TIMES < 1.2, 5.0, 20.0),
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", VOLUMES)
+def test_the_amount_of_a_reaction_is_the_same_in_any_volume(kind, course):
+    """r = c X, so the amount decays as 2 exp(-t), whatever the volume does."""
+    place, more, events, volume = VOLUMES[kind]
+    kinds = listed("Species", species("X", 2.0))
+    use = listed("Reactions", reaction("r", ["X"], [], ("times", "c", "X")))
+    found = course(place + kinds + more + use + events)
+    near(found["X"], 2.0 * np.exp(-TIMES) / volume)
+    near(found["c"], volume)

@@ -166,7 +166,7 @@ def _delegated(equations: Equations, seconds: float, changes: Changes) -> Networ
     law = DelegatedNetwork(shown, tuple(constants), text, tuple(ids[one] for one in shown), has_jumps, seconds)
     note = f"libroadrunner simulates this model, since it has {features}; steady states and sensitivities are not computed."
     columns = np.array([np.nan for _ in shown])
-    notes = (CHANCE, note) if len(events) > 1 else (note,)
+    notes = (CHANCE, note) if len(equations.events) > 1 else (note,)
     return NetworkModel(law, columns, np.array([file[one] for one in constants]), columns, None, False, notes)
 
 
