@@ -147,7 +147,7 @@ REFUSED = {
     ),
     "unknown": ({"reactions": REACTIONS.replace("!C", "!c1")}, [], 'reaction "r1" names the unknown species "c1"'),
     "ec50": ({"reactions": REACTIONS.replace("0.5,y", "0.7,y")}, [], 'reaction "r2": ec50 must be above 0 and below'),
-    "text": ({"species": SPECIES.replace("0.2", "low")}, [], '"A": y_init must be a number; got "low"'),
+    "text": ({"species": SPECIES.replace("0.2", "low")}, [], 'row 2, column y_init: "low" is not a number'),
     "tau": ({"species": SPECIES.replace("0,0.5,2", "0,0.5,0")}, [], 'species "C": tau_h must be above 0; got 0'),
     "tau below 0": (
         {"species": SPECIES.replace("0,0.5,2", "0,0.5,-1")},

@@ -71,9 +71,9 @@ def test_wrong_wish_is_one_sentence(files, capsys, free, words):
     ("text", "words"),
     [
         ("time_h,lambda_x\n0,1\n", "data.csv: column sigma_x_kPa is missing; there are time_h, lambda_x"),
-        ("time_h,lambda_x,sigma_x_kPa\n0,1,\n", "column sigma_x_kPa has no number in row 1"),
+        ("time_h,lambda_x,sigma_x_kPa\n0,1,\n", "no row has a value for each of time_h, lambda_x, sigma_x_kPa"),
         ("time_h,lambda_x,sigma_x_kPa\n0,1\n", "row 2 must have 3 columns"),
-        ("", "must have a row of column names"),
+        ("", "data.csv is empty: it must start with a row of column names, such as time_h"),
     ],
 )
 def test_wrong_data_are_one_sentence(files, capsys, text, words):
@@ -82,6 +82,35 @@ def test_wrong_data_are_one_sentence(files, capsys, text, words):
     said = capsys.readouterr().err
     assert words in said
     assert said.count("\n") == 1
+
+
+def test_a_fit_needs_no_loading_but_the_data_s(files):
+    (files / "case.toml").write_text(CASE.partition("[loading]")[0])
+    assert main(["fit", "case.toml", "data.csv", *FREE, "--out", "found"]) == 0
+    loading = cicatrix.load_case(files / "found" / "fitted.toml").loading
+    assert loading.time_h == pytest.approx([0.1 * row for row in range(8)])
+    assert loading.x == pytest.approx(np.linspace(1.0, 1.5, 8))
+    (files / "case.toml").write_text(CASE.partition("time_h")[0] + "x = [1.0, 1.2]\n")
+    assert main(["fit", "case.toml", "data.csv", *FREE]) == 2  # x without its times is a fault
+
+
+def test_a_wrong_unit_fits_nothing(files, capsys):
+    rows = [line.split(",") for line in (files / "data.csv").read_text().splitlines()]
+    text = "\n".join([",".join(rows[0]), *(f"{t},{x},{float(s) / 1000}" for t, x, s in rows[1:]), ""])
+    (files / "data.csv").write_text(text)
+    assert main(["fit", "case.toml", "data.csv", *FREE, "--out", "found"]) == 2
+    said = capsys.readouterr().err
+    assert "nothing was fitted" in said
+    assert "check the units" in said
+    assert "law.0.mu_kPa is at its lower bound, 0.1" in said
+
+
+def test_no_error_is_printed_where_there_is_none(files, capsys):
+    (files / "data.csv").write_text("time_h,lambda_x,sigma_x_kPa\n0,1,0\n1,1.2,3\n")
+    assert main(["fit", "case.toml", "data.csv", *FREE]) == 0
+    said = capsys.readouterr().out
+    assert "(no standard error)" in said
+    assert "nan" not in said
 
 
 def test_toml_reads_back():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -11,19 +12,19 @@ from ..files.measurements import read_measurements
 from ..inference.fit import Fit, fit
 from ..inference.fit_folder import claim_folder, write_fit
 from ..kinds.material_point.case import PointCase
-from ..kinds.material_point.measured import experiment
+from ..kinds.material_point.measured import experiment, loading_of
 from ..kinds.registry import load_case
 
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write the folder, print a line per parameter."""
     bounds = _all_bounds(args.free)
-    case = load_case(args.case, args.set)
+    data = read_measurements(args.data)
+    case = load_case(args.case, args.set, {"loading": loading_of(data)})
     if not isinstance(case, PointCase):
         raise InputError(f'{args.case}: kind must be "material-point" for a fit; got "{case.kind}"')
-    columns = read_measurements(args.data)
     try:
-        measured = experiment(case.loading, columns)
+        measured = experiment(case.loading, data)
     except InputError as error:
         raise InputError(f"{args.data}: {error}") from None
     folder = claim_folder(args.out or Path("fits") / args.data.stem)
@@ -33,7 +34,7 @@ def run(args: argparse.Namespace) -> int:
         case,
         _fit_table(found, bounds),
         dict(zip(found.keys, found.estimates.tolist())),
-        columns,
+        measured.columns,
         found.stresses,
     )
     _print(found, folder)
@@ -81,9 +82,13 @@ def _fit_table(found: Fit, bounds: dict[str, tuple[float, float]]) -> dict[str, 
 
 def _print(found: Fit, folder: Path) -> None:
     for key, value, error in zip(found.keys, found.estimates, found.standard_errors, strict=True):
-        print(f"{key:<32} {value:12.6g} +- {error:.2g}")
+        print(f"{key:<32} {value:12.6g}" + (f" +- {error:.2g}" if isfinite(error) else "  (no standard error)"))
     for name, rms in found.rms_kPa.items():
-        print(f"{name:<32} residual {rms:.3g} kPa (rms), R^2 {found.r_squared[name]:.5f}")
+        print(f"{name:<32} residual {rms:.3g} kPa (rms){_explained(found.r_squared[name])}")
     for note in found.notes:
         print(note)
     print(f"written to {folder}: fit.json, fitted.toml, residuals.csv, figures/fit.png")
+
+
+def _explained(r_squared: float) -> str:
+    return f", R^2 {r_squared:.5f}" if isfinite(r_squared) else ""

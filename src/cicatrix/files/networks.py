@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -17,7 +14,7 @@ from ..biology.rules import parse_rule
 from ..biology.wiring import Wiring
 from ..core.errors import InputError
 from ..core.units import hours_from_seconds, seconds_from_hours
-from .text import text_of
+from .tables import read_table
 
 SPECIES = ("id", "y_init", "y_max", "tau_h")
 REACTIONS = ("id", "rule", "weight", "n", "ec50")
@@ -36,9 +33,10 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
     inhibition : str
         "complement" or "weighted", as in :class:`.HillNetwork`.
     """
-    states, links = _table(species, SPECIES), _table(reactions, REACTIONS)
-    start, y_max, tau_h = (_numbers(species, states, key) for key in SPECIES[1:])
-    weight, n, ec50 = (_numbers(reactions, links, key) for key in REACTIONS[2:])
+    (states, (start, y_max, tau_h), assumed), (links, (weight, n, ec50), assumed_too) = (
+        _table(path, columns, columns[first:])
+        for path, columns, first in ((species, SPECIES, 1), (reactions, REACTIONS, 2))
+    )
     for key, is_good, words in (("y_init", start >= 0.0, "at least 0"), ("tau_h", tau_h > 0.0, "above 0")):
         for row in (row for row, good in zip(states, is_good) if not good):
             raise InputError(f'{species}: species "{row["id"]}": {key} must be {words}; got {row[key]}')
@@ -50,43 +48,24 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
     except InputError as error:
         path = species if str(error).startswith("species") else reactions
         raise InputError(f"{path}: {error}") from None
-    notes = [f'Nothing acts on "{name}": it decays to 0.' for name in wiring.undriven]
+    notes = [*assumed, *assumed_too, *(f'Nothing acts on "{name}": it decays to 0.' for name in wiring.undriven)]
     slowest_h = float(hours_from_seconds(tau.max()))
     return NetworkModel(law, start, weight[wiring.input_reactions], y_max, slowest_h, True, tuple(notes))
 
 
-def _table(path: Path, columns: Sequence[str]) -> list[Row]:
-    """Read the rows of a CSV file, without empty lines."""
-    rows = [[cell.strip() for cell in row] for row in csv.reader(io.StringIO(text_of(path)))]
-    lines = [(number, row) for number, row in enumerate(rows, 1) if any(row)]
-    if not lines:
-        raise InputError(f"{path} is empty: it must start with a row of column names, {', '.join(columns)}")
-    head = lines[0][1]
-    missing = [name for name in columns if name not in head]
-    if missing:
-        raise InputError(f"{path}: column {missing[0]} is missing; there are {', '.join(head)}")
-    if len(lines) < 2:
-        raise InputError(f"{path} has no rows below its column names")
-    for number, row in lines[1:]:
-        if len(row) != len(head):
-            raise InputError(f"{path}: row {number} must have {len(head)} columns, like the first row; got {len(row)}")
-        if not row[head.index("id")]:
-            raise InputError(f"{path}: row {number} has no id")
-    return [dict(zip(head, row)) for _, row in lines[1:]]
-
-
-def _numbers(path: Path, rows: list[Row], key: str) -> np.ndarray:
-    return np.array([_number(path, row, key) for row in rows])
-
-
-def _number(path: Path, row: Row, key: str) -> float:
-    try:
-        value = float(row[key])
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise InputError(f'{path}: "{row["id"]}": {key} must be a number; got "{row[key]}"')
-    return value
+def _table(
+    path: Path, columns: Sequence[str], numbers: Sequence[str]
+) -> tuple[list[Row], list[np.ndarray], Sequence[str]]:
+    """Read a table: its rows, its columns ``numbers`` (n_rows,), and what was assumed on reading."""
+    table = read_table(path, columns)
+    table.require(columns)
+    found = table.numbers(numbers)
+    for row, name in enumerate(table.texts("id")):
+        if not name:
+            raise InputError(f"{path}: row {table.lines[row]} has no id")
+        for key in (key for key in numbers if not np.isfinite(found[key][row])):
+            raise table.fault(row, key, f'must be a number; "{name}" has none')
+    return [dict(zip(table.names, row)) for row in table.rows], [found[key] for key in numbers], table.notes
 
 
 def _rule(path: Path, number: int, row: Row) -> Any:

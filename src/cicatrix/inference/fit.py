@@ -27,12 +27,11 @@ from ..kinds.material_point.measured import STRESSES, Experiment
 from ..mechanics.point import Instant, history
 from ..mechanics.point_integration import integrate_all
 from ..numerics.compiler import COMPILER
+from .identifiability import at_bounds, correlated, covariance_of, undetermined
+from .residuals import notes_on_residuals, r_squared, refuse_nothing_fitted
 
 TOLERANCE = 1e-13  # tolerance of the sum of squares, the parameters and the gradient at which the search ends
 MAX_EVALUATIONS = 200  # maximum number of evaluations
-BOUND_TOLERANCE = 1e-6  # a parameter closer than this to a bound, relative to the span of its bounds, is at the bound
-RANK_TOLERANCE = 1e-7  # relative singular value of J (columns of length 1) below which a combination has no effect
-HIGH_CORRELATION = 0.99  # correlation above which two parameters are reported as hard to tell apart
 
 Bounds = Mapping[str, tuple[float, float]]
 
@@ -77,7 +76,8 @@ def fit(case: PointCase, measured: Experiment, bounds: Bounds) -> Fit:
     Raises
     ------
     InputError
-        If a key is unknown, bounds do not ascend or exceed the range of the law, or there are fewer data than parameters.
+        If a key is unknown, bounds do not ascend or exceed the range of the law, there are fewer data than parameters, or nothing
+        is fitted: no parameter has an effect on the data, or the law explains none of them.
     ConvergenceError
         If the law has no solution along the loading at the start of the search, or the search does not converge.
 
@@ -96,7 +96,7 @@ def fit(case: PointCase, measured: Experiment, bounds: Bounds) -> Fit:
         model = stresses_of(case, measured, tuple(bounds), start)
         found = _search(model, measured, start, low, high)
         start = found.x
-    return _result(tuple(bounds), measured, found, model, low, high)
+    return _result(tuple(bounds), measured, found, low, high)
 
 
 def stresses_of(
@@ -191,86 +191,41 @@ def _search(model: Callable, measured: Experiment, start: np.ndarray, low: np.nd
     return found
 
 
-def _result(keys, measured: Experiment, found, model: Callable, low: np.ndarray, high: np.ndarray) -> Fit:
+def _result(keys, measured: Experiment, found, low: np.ndarray, high: np.ndarray) -> Fit:
     """Return the estimates with their standard errors, correlations, residuals and notes, from the search's result ``found``."""
-    n, p = found.jac.shape
     data = np.column_stack(list(measured.stresses.values()))
-    fitted = data + found.fun.reshape(data.shape)
-    at_bound = np.minimum(found.x - low, high - found.x) < BOUND_TOLERANCE * (high - low)
-    inner = np.flatnonzero(~at_bound)
-    variance = float(found.fun @ found.fun) / max(n - p, 1)
-    covariance = np.full((p, p), np.nan)
-    part, condition, lost = _inverse(found.jac[:, inner])
-    covariance[np.ix_(inner, inner)] = variance * part if n > p else np.nan
+    residual = found.fun.reshape(data.shape)
+    ends = at_bounds(keys, found.x, low, high)
+    covariance, condition, doubts = covariance_of(
+        keys, found.jac, found.fun, np.flatnonzero([key not in ends for key in keys])
+    )
+    refuse_nothing_fitted(residual, data, [f"{key} is at {end}" for key, end in ends.items()])
     errors = np.sqrt(np.diag(covariance))
     with np.errstate(invalid="ignore", divide="ignore"):
         correlation = covariance / np.outer(errors, errors)
+    fitted = dict(zip(measured.stresses, (data + residual).T))
+    residuals = dict(zip(measured.stresses, residual.T))
     notes = [
-        *_at_bounds(keys, found.x, at_bound, low),
-        *_not_identifiable([keys[i] for i in inner], lost),
-        *_correlated(keys, correlation),
+        *measured.notes,
+        *(
+            f"{key} is at {end}: it has no standard error, and those of others assume that it is fixed."
+            for key, end in ends.items()
+        ),
+        *doubts,
+        *undetermined(keys, found.x, errors, high - low),
+        *correlated(keys, correlation),
+        *notes_on_residuals(measured.columns, residuals, fitted),
     ]
-    if n == p:
-        notes.append("There are as many data as free parameters: errors cannot be estimated.")
-    residual = found.fun.reshape(data.shape)
-    names = list(measured.stresses)
     return Fit(
         keys,
         found.x,
         errors,
         covariance,
         correlation,
-        dict(zip(names, fitted.T)),
-        {name: float(np.sqrt(np.mean(r * r))) for name, r in zip(names, residual.T)},
-        {name: _r_squared(r, d) for name, r, d in zip(names, residual.T, data.T)},
+        fitted,
+        {name: float(np.sqrt(np.mean(r * r))) for name, r in residuals.items()},
+        {name: r_squared(r, measured.stresses[name]) for name, r in residuals.items()},
         condition,
         int(found.nfev),
         tuple(notes),
     )
-
-
-def _inverse(J: np.ndarray) -> tuple[np.ndarray, float, np.ndarray | None]:
-    """Return (J^T J)^-1, the condition number of J with columns scaled to length 1, and a null vector of J (p,) or None."""
-    if J.shape[1] == 0:
-        return np.zeros((0, 0)), 1.0, None
-    length = np.linalg.norm(J, axis=0)
-    scale = np.where(length > 0.0, length, 1.0)
-    _, s, V = np.linalg.svd(J / scale, full_matrices=False)
-    if s[-1] <= RANK_TOLERANCE * s[0]:
-        return np.full((J.shape[1],) * 2, np.nan), np.inf, V[-1]
-    half = V / s[:, None] / scale
-    return half.T @ half, float(s[0] / s[-1]), None
-
-
-def _r_squared(residual: np.ndarray, data: np.ndarray) -> float:
-    """Return the fraction of the variance of the data that the fit explains; NaN for data of zero variance."""
-    spread = float(np.sum((data - data.mean()) ** 2))
-    return 1.0 - float(residual @ residual) / spread if spread > 0.0 else float("nan")
-
-
-def _at_bounds(keys, x: np.ndarray, at_bound: np.ndarray, low: np.ndarray) -> list[str]:
-    out = []
-    for i in np.flatnonzero(at_bound):
-        end = "lower" if abs(x[i] - low[i]) <= abs(x[i]) * 1e-3 + BOUND_TOLERANCE else "upper"
-        out.append(
-            f"{keys[i]} is at its {end} bound, {x[i]:.6g}: it has no standard error, and those of others assume that it is fixed."
-        )
-    return out
-
-
-def _not_identifiable(keys: list[str], lost: np.ndarray | None) -> list[str]:
-    if lost is None:
-        return []
-    names = [key for key, share in zip(keys, lost) if abs(share) > 0.1]
-    what = (
-        f"{names[0]} has no effect on" if len(names) == 1 else f"only a combination of {', '.join(names)} is fixed by"
-    )
-    return [f"Not identifiable: {what} these data; fix a parameter, or measure under another loading."]
-
-
-def _correlated(keys, correlation: np.ndarray) -> list[str]:
-    pairs = [(i, j) for i in range(len(keys)) for j in range(i) if abs(correlation[i, j]) > HIGH_CORRELATION]
-    return [
-        f"{keys[j]} and {keys[i]} are hard to tell apart by these data: their correlation is {correlation[i, j]:.4f}."
-        for i, j in pairs
-    ]

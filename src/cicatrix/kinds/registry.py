@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from importlib import import_module, resources
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, NamedTuple
 
 from ..cases.reading import kind_of, read_tables
@@ -41,7 +42,9 @@ def case_type(kind: str) -> type[Case]:
     return getattr(_module(kind, "case"), KINDS[kind].case)
 
 
-def load_case(path: str | Path, overrides: Sequence[str] = ()) -> Any:
+def load_case(
+    path: str | Path, overrides: Sequence[str] = (), spare: Mapping[str, Mapping[str, Any]] | None = None
+) -> Any:
     """Read and check a case file.
 
     Parameters
@@ -50,6 +53,8 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> Any:
         The TOML file; paths in it are relative to it, or start with ``data:``.
     overrides : sequence of str
         ``key.path=value`` each, as after ``--set``.
+    spare : mapping, optional
+        Keys by table, which are added to the table where the file gives none of them.
 
     Returns
     -------
@@ -61,7 +66,7 @@ def load_case(path: str | Path, overrides: Sequence[str] = ()) -> Any:
     InputError
         If the case is invalid; the message states the first fault and how many more there are.
     """
-    case, faults = _examined(Path(path), overrides)
+    case, faults = _examined(Path(path), overrides, spare or {})
     if case is None:
         more = f" (and {len(faults) - 1} more: cicatrix check {path} lists them)" if len(faults) > 1 else ""
         raise InputError(f"{path}: {faults[0]}{more}")
@@ -108,9 +113,15 @@ def simulation_type(kind: str) -> Any:
     return getattr(_module(kind, "run"), KINDS[kind].simulation)
 
 
-def _examined(path: Path, overrides: Sequence[str]) -> tuple[Any, list[str]]:
+def _examined(
+    path: Path, overrides: Sequence[str], spare: Mapping[str, Mapping[str, Any]] = MappingProxyType({})
+) -> tuple[Any, list[str]]:
     try:
         tables = read_tables(path, overrides)
+        for name, keys in spare.items():
+            table = tables.setdefault(name, {})
+            if isinstance(table, dict) and not table.keys() & keys.keys():
+                table |= keys
         kind = case_type(kind_of(tables, KINDS))
     except InputError as error:
         return None, [str(error)]
