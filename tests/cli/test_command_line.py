@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from cicatrix.cli.main import main
+
 STAND_IN = Path(__file__).parent / "stand_in.py"
 PHANTOM = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n'
 INTERRUPTED = "cicatrix: interrupted; to continue from the last checkpoint, run the same command with --resume"
@@ -51,6 +53,29 @@ def test_wrong_command_is_one_sentence(arguments, tmp_path):
     done = cicatrix(*arguments, cwd=tmp_path)
     assert done.returncode == 2
     assert re.fullmatch(r"cicatrix: [^\n]+\n", done.stderr)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("check", "a" * 5000), "a path has at most 4096 bytes, and each name in it 255; got 5000 characters"),
+        (("run", "case.toml", "--out", "a" * 300), "argument --out: a path has at most 4096 bytes"),
+        (("run", "case.toml", "--out", ""), "argument --out: must name a file or folder"),
+        (("check", "a\x1b[31m.toml"), r"a\x1b[31m.toml: there is no such file"),
+        (("check", "case.toml", "--set", "run.a\x07\u202e=1"), r"run.a\x07\u202e is not a known key"),
+        (
+            ("check", "case.toml", "--set", 'image.path="data\\breast"'),
+            r"'data\x08reast', with the control character U+0008",
+        ),
+        (("frob\x1b[31m",), r"invalid choice: 'frob\x1b[31m'"),
+    ],
+)
+def test_strange_arguments_are_escaped_sentences(arguments, words, case, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(list(arguments)) == 2
+    said = capsys.readouterr().err
+    assert words in said
+    assert all(line.isprintable() and len(line) < 600 for line in said.splitlines())
 
 
 def test_check_sound_case(case, tmp_path):

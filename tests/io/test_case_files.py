@@ -1,6 +1,8 @@
 """Every kind of bad input, written as a real file: each gives one sentence that names the key."""
 
 import os
+import random
+import re
 from pathlib import Path
 
 import pytest
@@ -199,6 +201,15 @@ def test_chest_wall_is_a_plane_or_points(write):
     assert check_case(write(wall + "points_mm = [[0, 0], [1, 0]]"))[0].startswith("image.chest_wall.points_mm[0] must")
 
 
+POINT = 'kind = "material-point"\n[[law]]\ntype = "{law}"\nmu_kPa = 1.0\n[law.growth]\ntau_h = 1.0\n'
+
+
+def test_a_law_that_cannot_grow_is_told_the_table_that_does(write):
+    loading = "[loading]\ntime_h = [0, 1]\nx = [1, 1.1]\n"
+    words = "law[0].growth: neo-hookean takes no growth; use [growth]"
+    assert check_case(write(POINT.format(law="neo-hookean") + loading)) == [words]
+
+
 def test_image_has_one_origin(write, tmp_path):
     (tmp_path / "a.nii").touch()
     both = check_case(write(PHANTOM + 'path = "a.nii"'))
@@ -235,10 +246,131 @@ def test_no_case_at_all(text, words, write):
 
 
 def test_unreadable_case_files(tmp_path):
-    assert check_case(tmp_path / "none.toml") == ["there is no such case file"]
-    assert check_case(tmp_path) == ["is a folder; a case file is needed"]
+    assert check_case(tmp_path / "none.toml") == ["there is no such file"]
+    assert check_case(tmp_path) == ["is a folder; a file is needed"]
     (tmp_path / "binary.toml").write_bytes(b"\x1f\x8b\xff")
     assert "not a text file" in check_case(tmp_path / "binary.toml")[0]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-32"])
+@pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
+def test_a_case_in_any_unicode_and_with_any_line_ends(encoding, end, tmp_path):
+    path = tmp_path / "case.toml"
+    path.write_bytes((PHANTOM + "[run] # \N{MICRO SIGN}\nseed = 5\n").replace("\n", end).encode(encoding))
+    assert load_case(path).run.seed == 5
+
+
+STRANGE = {
+    "Latin-1": ("# \xe9".encode("latin-1"), "is not a text file in UTF-8 (line 1, byte 2): save it as UTF-8"),
+    "a NUL": (b'kind = "a\0"', "is not a text file: line 1 has the control character U+0000"),
+    "deep lists": (b"x = " + 3000 * b"[", "is not a case: tables or lists nest too deep"),
+    "deep tables": (b"x = " + 3000 * b"{a = " + b"1", "is not a case: tables or lists nest too deep"),
+    "deep keys": (b".".join(3000 * [b"a"]) + b" = 1", "a.a.a...: tables and lists may nest 50 deep at most"),
+    "a deep list that TOML reads": (b"x = " + 60 * b"[" + 60 * b"]", "x[0][0]...: tables and lists may nest 50 deep"),
+    "400 digits": (b"[run]\nseed = " + 400 * b"9", "run.seed must be between -2^63 and 2^63 - 1"),
+    "400 digits for a real": (b"[tissue.fat]\nE_kPa = " + 400 * b"9", "tissue.fat.E_kPa must be between -2^63"),
+    "400 digits in a list": (b"a = [1, " + 400 * b"9" + b"]", "a[1] must be between"),
+    "5000 digits": (b"[run]\nseed = " + 5000 * b"9", "is not valid TOML: a whole number has more than 64 bits"),
+    "a backslash": (b'p = "C:\\Users"', "a backslash starts an escape: write '...', or / in a path"),
+    "a decimal comma": (b"x = 12,5", "a number has a decimal point, not a comma"),
+    "Python's truth": (b"x = True", "truth values are true and false"),
+    "curly quotes": ("x = \u201cleft\u201d".encode(), "quotes must be straight"),
+}
+
+
+@pytest.mark.parametrize("name", STRANGE)
+def test_a_strange_file_is_a_sentence(name, tmp_path):
+    data, words = STRANGE[name]
+    (tmp_path / "case.toml").write_bytes(data)
+    (fault,) = check_case(tmp_path / "case.toml")
+    assert words in fault
+
+
+def test_a_case_is_a_regular_file(tmp_path):
+    for path in (Path("/dev/zero"), tmp_path / "pipe"):
+        if path.name == "pipe":
+            os.mkfifo(path)
+        assert check_case(path) == ["is a device, a pipe or a socket; a file is needed"]
+
+
+PATHS = {
+    "a" * 5000: "image.path cannot be used: .*: the path has [0-9]+ characters; at most 4096 can be opened",
+    "a" * 300: "image.path cannot be used: .*cannot be read: File name too long",
+    "~nosuchuser/a.nii": "image.path names ~nosuchuser/a.nii, but there is no such user: name the folder in place of ~",
+    "/dev/zero": "image.path cannot be used: /dev/zero is a device, a pipe or a socket",
+    "data\\\\breast.nii": "image.path names .*, but there is no such file or folder; folders are separated by /",
+    "data\\breast.nii": r"image.path names 'data.x08reast.nii', with the control character U\+0008; .* write '...', or /",
+    "a\\u0000b": r"image.path names 'a.x00b', with the control character U\+0000",
+}
+
+
+@pytest.mark.parametrize("path", PATHS, ids=range(len(PATHS)))
+def test_a_strange_path_is_a_sentence(path, write):
+    (fault,) = check_case(write(f'kind = "lumpectomy"\n[image]\npath = "{path}"\n'))
+    assert re.match(PATHS[path], fault)
+
+
+@pytest.mark.parametrize(
+    ("setting", "words"),
+    [
+        ("run.seed=" + 400 * "9", "run.seed must be between -2^63"),
+        ("run.seed=" + 5000 * "9", "a whole number has more than 64 bits"),
+        ("run.seed=" + 3000 * "[", "tables or lists nest too deep"),
+        (".".join(3000 * ["a"]) + "=1", "may nest 50 deep at most"),
+        ("image.chest_wall.points_mm=[[1,2,3]]", "image.chest_wall.points_mm must be"),
+    ],
+)
+def test_a_strange_setting_is_a_sentence(setting, words, write):
+    (fault,) = check_case(write(PHANTOM), [setting])
+    assert words in fault
+
+
+def test_whatever_the_bytes_a_case_is_read_or_refused(tmp_path):
+    """Seeded mutations of a good case, and settings made of the same: faults in sentences, and no other end."""
+    draw, path = random.Random(1), tmp_path / "case.toml"
+    (tmp_path / "breast.nii.gz").touch()
+    (tmp_path / "labels.nii.gz").touch()
+    good, n_sound = INTERFACE_EXAMPLE.encode(), 0
+    spice = [
+        b"\x00",
+        b"\xff",
+        b"\xef\xbb\xbf",
+        b"[" * 60,
+        b"9" * 400,
+        b"1e400",
+        b"nan",
+        b"{a=",
+        b"\\u0000",
+        b"~x/",
+        b".",
+        b"=",
+    ]
+    spice += [
+        b"[[",
+        b'"',
+        b"'" * 3,
+        b"true",
+        b"-",
+        b"\n[law]\n",
+        b"\r",
+        b"\x1b[31m",
+        b"/dev/zero",
+        b"#",
+        b"[]",
+        b"a." * 70,
+    ]
+    for _ in range(300):
+        data = bytearray(good)
+        for _ in range(draw.randint(1, 3)):
+            at = draw.randrange(len(data))
+            data[at : at + draw.randint(0, 4)] = draw.choice(spice)
+        path.write_bytes(data)
+        part = data[at - 20 : at + 20].decode(errors="replace")
+        for settings in ([], [f"{draw.choice(['run.seed', 'image', 'tissue.fat'])}={part}"], [part]):
+            faults = check_case(path, settings)
+            n_sound += not faults
+            assert all(fault and len(fault) < 100_000 for fault in faults)
+    assert n_sound > 10
 
 
 def test_missing_image_is_a_fault_beside_others(write, tmp_path):

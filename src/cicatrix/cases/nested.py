@@ -9,14 +9,31 @@ from typing import Any
 
 from ..core.errors import InputError
 from .paths import input_path
+from .sentences import dotted
+
+DEEPEST = 50  # tables and lists within each other
+LEAST, MOST = -(2**63), 2**63 - 1  # whole numbers of TOML
 
 
-def copied(value: Any) -> Any:
-    """Copy nested tables and lists, so that the copy may be changed; arrays and numbers of NumPy become Python's own."""
+def copied(value: Any, at: tuple[str | int, ...] = ()) -> Any:
+    """Copy nested tables and lists, so that the copy may be changed; arrays and numbers of NumPy become Python's own.
+
+    ``at``: the keys that lead to the value.
+
+    Raises
+    ------
+    InputError
+        If they nest too deep, or a whole number has more than the 64 bits that TOML has.
+    """
+    if len(at) > DEEPEST:
+        raise InputError(f"{dotted(at[:3])}...: tables and lists may nest {DEEPEST} deep at most")
     if isinstance(value, Mapping):
-        return {key: copied(item) for key, item in value.items()}
+        return {key: copied(item, (*at, key)) for key, item in value.items()}
     if isinstance(value, (list, tuple)):
-        return [copied(item) for item in value]
+        return [copied(item, (*at, number)) for number, item in enumerate(value)]
+    if isinstance(value, int) and not LEAST <= value <= MOST:
+        words = "must be between -2^63 and 2^63 - 1, as whole numbers in TOML are"
+        raise InputError(f"{dotted(at)} {words}; got one of {value.bit_length()} bits")
     return value.tolist() if hasattr(value, "tolist") else value
 
 
@@ -51,7 +68,7 @@ def put(tables: dict[str, Any], names: Sequence[str], value: Any, subject: str) 
 def _put_in_list(items: list[Any], names: Sequence[str], value: Any, subject: str) -> None:
     """Set a value within a list: ``names`` has the list's name, the item's index from 0 and, if any, the keys inside the item."""
     name, number, *below = names
-    if not number.isdecimal() or int(number) >= len(items):
+    if not number.isdecimal() or len(number) > 9 or int(number) >= len(items):
         raise InputError(f"{subject}: {name} is a list; name one of 0 to {len(items) - 1}, such as {name}.0")
     if not below and value is None:
         del items[int(number)]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator
 from pathlib import Path
 
 from ..core.errors import InputError
+from ..files.opening import file_or_folder
 
 DATA_PREFIX = "data:"
 DATA_VARIABLE = "CICATRIX_DATA"
+BACKSLASH = "in \"...\" a backslash starts an escape: write '...', or / in a path"
 
 
 def input_path(text: str, folder: Path) -> Path:
@@ -25,17 +28,37 @@ def input_path(text: str, folder: Path) -> Path:
     Raises
     ------
     InputError
-        If there is no such file; the caller puts the key before the message.
+        If there is no such file or folder, or it is a device or a pipe; the caller puts the key before the message.
     """
     if not text.removeprefix(DATA_PREFIX).strip():
         raise InputError("must name a file or folder; got an empty text")
+    if found := re.search(r"[\x00-\x1f\x7f]", text):
+        raise InputError(f"names {text!r}, with the control character U+{ord(found[0]):04X}; {BACKSLASH}")
+    path = _named(text, folder)
+    if not _may_exist(path):
+        hint = "; folders are separated by /" if "\\" in text and os.sep == "/" else ""
+        raise InputError(f"names {path}, but there is no such file or folder{hint}")
+    try:
+        return file_or_folder(path).resolve()
+    except InputError as error:
+        raise InputError(f"cannot be used: {error}") from None
+
+
+def _named(text: str, folder: Path) -> Path:
+    """Return the path that a text names, with ~ replaced by the folder of the user."""
     if text.startswith(DATA_PREFIX):
-        path = data_folder(folder) / text.removeprefix(DATA_PREFIX)
-    else:
-        path = folder / Path(text).expanduser()
-    if not path.exists():
-        raise InputError(f"names {path}, but there is no such file or folder")
-    return path.resolve()
+        return data_folder(folder) / text.removeprefix(DATA_PREFIX)
+    try:
+        return folder / Path(text).expanduser()
+    except RuntimeError:
+        raise InputError(f"names {text}, but there is no such user: name the folder in place of ~") from None
+
+
+def _may_exist(path: Path) -> bool:
+    try:
+        return path.exists()
+    except OSError:  # such as a name that is too long; why is told when it is opened
+        return True
 
 
 def data_folder(start: Path | None = None) -> Path:

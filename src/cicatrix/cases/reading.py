@@ -3,15 +3,26 @@
 from __future__ import annotations
 
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
+from ..files.text import text_of
 from .nested import copied, files_in, names_of, put
+from .paths import BACKSLASH
 from .sentences import either, shown
 from .table import Case
+
+LARGEST = 10_000_000  # bytes of a case file
+HINTS = (  # pattern of a line that TOML refuses, and what would be right
+    (r'"[^"]*\\', BACKSLASH),
+    (r"=\s*[+-]?[0-9]+,[0-9]+\s*(#|$)", "a number has a decimal point, not a comma"),
+    (r"=\s*(True|False)\b", "truth values are true and false"),
+    ("[\u201c\u201d\u201e\u2018\u2019]", "quotes must be straight: \" or '"),
+)
 
 
 def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
@@ -27,7 +38,7 @@ def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[st
     Raises
     ------
     InputError
-        If a setting has no ``=``, or a key before the last one in its path is not a table.
+        If a setting has no ``=``, a key before the last one in its path is not a table, or the tables are not :func:`.copied`.
     """
     tables = copied(raw)
     for setting in overrides:
@@ -35,8 +46,8 @@ def apply_overrides(raw: Mapping[str, Any], overrides: Sequence[str]) -> dict[st
         names = names_of(key)
         if not equals or not all(names):
             raise InputError(f"--set {setting}: must read key.path=value, such as run.seed=3")
-        put(tables, names, _toml_value(text.strip()), f"--set {setting}")
-    return tables
+        put(tables, names, _toml_value(text.strip(), setting), f"--set {setting}")
+    return copied(tables)
 
 
 def read_tables(path: Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
@@ -86,22 +97,39 @@ def input_files(case: Case) -> dict[str, Path]:
 
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not valid TOML: {error}") from None
-    except UnicodeDecodeError as error:
-        raise InputError(f"is not a text file in UTF-8 (byte {error.start})") from None
-    except IsADirectoryError:
-        raise InputError("is a folder; a case file is needed") from None
-    except FileNotFoundError:
-        raise InputError("there is no such case file") from None
-    except OSError as error:
-        raise InputError(f"cannot be read: {error.strerror}") from None
-
-
-def _toml_value(text: str) -> Any:
+        text = text_of(path, LARGEST)
+    except InputError as error:
+        raise InputError(str(error).removeprefix(str(path)).lstrip(": ")) from None
     try:
-        parsed = tomllib.loads(f"value = {text}")
+        return _parsed(text)
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"is not valid TOML: {error}{_hint(text, str(error))}") from None
+
+
+def _parsed(text: str) -> dict[str, Any]:
+    """Return TOML as tables; raise its own error, or an InputError where Python gives up."""
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        raise
+    except RecursionError:
+        raise InputError("is not a case: tables or lists nest too deep") from None
+    except ValueError:  # Python reads whole numbers of a few thousand digits at most
+        raise InputError("is not valid TOML: a whole number has more than 64 bits") from None
+
+
+def _toml_value(text: str, setting: str) -> Any:
+    try:
+        parsed = _parsed(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
+    except InputError as error:
+        raise InputError(f"--set {setting}: {error}") from None
     return parsed["value"] if len(parsed) == 1 else text
+
+
+def _hint(text: str, message: str) -> str:
+    """Return what is likely meant on the line that an error names."""
+    place = re.search(r"line ([0-9]+)", message)
+    line = text.split("\n")[int(place[1]) - 1] if place else ""
+    return next((f"; {words}" for pattern, words in HINTS if re.search(pattern, line)), "")

@@ -34,11 +34,11 @@ def _sentence(error: Mapping[str, Any], kind: type[BaseModel]) -> str:
     """Describe one validation error in a sentence: the key, the values allowed and the value found."""
     loc, name, value = error["loc"], error["type"], error["input"]
     context = error.get("ctx", {})
-    key = _dotted(loc)
+    key = dotted(loc)
     if name == "union_tag_invalid":
         return _unknown_type(key, value, context["expected_tags"])
     if name == FAULT:
-        return f"{_dotted((*loc, context['key']))} {context['sentence']}"
+        return f"{dotted((*loc, context['key']))} {context['sentence']}"
     if name == "extra_forbidden":
         return _unknown_key(loc, kind)
     if name == "missing":
@@ -67,8 +67,8 @@ def _unknown_type(key: str, value: Any, tags: str) -> str:
 
 def _unknown_key(loc: Sequence[str | int], kind: type[BaseModel]) -> str:
     """Return a sentence for an unknown key, with the most similar key of its table, or else the same name in another table."""
-    key, known = _dotted(loc), known_keys(kind)
-    prefix = _dotted(loc[:-1])
+    key, known = dotted(loc), known_keys(kind)
+    prefix = dotted(loc[:-1])
     siblings = list(dict.fromkeys(name for table in _tables_at(loc[:-1], kind) for name in table.model_fields))
     leaf, start = str(loc[-1]), f"{prefix}." if prefix else ""
     by_leaf = {name.lower(): name for name in siblings}
@@ -77,6 +77,8 @@ def _unknown_key(loc: Sequence[str | int], kind: type[BaseModel]) -> str:
     if near:
         return f"{key} is not a known key; did you mean {start}{by_leaf[near[0]]}?"
     elsewhere = [name for name in known if name.rpartition(".")[2] == leaf]
+    if leaf in elsewhere and (tag := _tag_at(loc[:-1])):
+        return f"{key}: {tag} takes no {leaf}; use [{leaf}]"
     if elsewhere:
         return f"{key} is not a known key; did you mean {' or '.join(elsewhere)}?"
     where = f"[{prefix}]" if prefix else "the file"
@@ -106,13 +108,18 @@ def _tables_at(loc: Sequence[str | int], kind: type[BaseModel]) -> list[type[Bas
     return found
 
 
+def _tag_at(loc: Sequence[str | int]) -> str:
+    """Return the name of the law, or of another of several types, whose table is at a location; empty if it is no such table."""
+    return str(loc[-1]).strip("<>") if loc and str(loc[-1]).startswith("<") else ""
+
+
 def _tables_in(annotation: Any) -> list[type[BaseModel]]:
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return [annotation]
     return [table for part in get_args(annotation) for table in _tables_in(part)]
 
 
-def _dotted(loc: Sequence[str | int]) -> str:
+def dotted(loc: Sequence[str | int]) -> str:
     """Return the key as the user writes it, without the tags of types that pydantic adds."""
     parts = [part for part in loc if not str(part).startswith("<")]
     return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in parts).lstrip(".")

@@ -6,13 +6,16 @@ The module of a verb has the verb's name and holds ``run(args)``; the command li
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 from typing import NoReturn
 
 from ..bench.benchmarks import BENCHMARKS
 from ..core.errors import InputError
 from ..core.version import __version__
+from ..files.opening import LARGEST_NAME
 
+LONGEST_NAME = 255  # bytes of a name within a path, in the file systems of today
 AFTER_DEMO = "; the last checkpoint is kept; run the same command again to continue"
 AFTER_RUN = "; to continue from the last checkpoint, run the same command with --resume"
 
@@ -44,7 +47,7 @@ def _demo(verbs: argparse._SubParsersAction) -> None:
     words = "run a 2-D lumpectomy on the built-in phantom, from image to healed shape"
     parser = verbs.add_parser("demo", help=words, allow_abbrev=False)
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("demo"), help="folder for the results (default: demo)"
+        "--out", metavar="DIR", type=_path, default=Path("demo"), help="folder for the results (default: demo)"
     )
     parser.set_defaults(after_interruption=AFTER_DEMO)
 
@@ -55,7 +58,7 @@ def _run(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--out",
         metavar="DIR",
-        type=Path,
+        type=_path,
         help="folder for the results (default: runs/NAME, with the name of the case file)",
     )
     parser.add_argument("--resume", action="store_true", help="continue from the last checkpoint in the folder")
@@ -73,8 +76,8 @@ def _check(verbs: argparse._SubParsersAction) -> None:
 
 def _segment(verbs: argparse._SubParsersAction) -> None:
     parser = verbs.add_parser("segment", help="segment one breast in an MRI into labels and tissue probabilities")
-    parser.add_argument("image", metavar="IMAGE", type=Path, help="NIfTI, NRRD or MHA file, or a DICOM folder")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write; must be new or empty")
+    parser.add_argument("image", metavar="IMAGE", type=_path, help="NIfTI, NRRD or MHA file, or a DICOM folder")
+    parser.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder to write; must be new or empty")
     parser.add_argument("--weighting", choices=("t1", "t1-fatsat"), default="t1")
     parser.add_argument("--side", choices=("left", "right"), default="left", help="side of the patient's breast")
     parser.add_argument("--position", choices=("prone", "supine", "upright"), default="prone")
@@ -97,9 +100,9 @@ def _segment(verbs: argparse._SubParsersAction) -> None:
 def _mesh(verbs: argparse._SubParsersAction) -> None:
     parser = verbs.add_parser("mesh", help="mesh a labelled breast with tetrahedra, for cases of kind equilibrium")
     parser.add_argument(
-        "labels", metavar="LABELS", type=Path, help="label map: 0 air, 1 fat, 2 gland, 3 skin, 4 tumour"
+        "labels", metavar="LABELS", type=_path, help="label map: 0 air, 1 fat, 2 gland, 3 skin, 4 tumour"
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="FILE", help="VTU file to write; must not exist")
+    parser.add_argument("--out", type=_path, required=True, metavar="FILE", help="VTU file to write; must not exist")
     parser.add_argument("--edge-mm", type=float, default=5.0, help="element edge [mm], 5 by default")
 
 
@@ -109,13 +112,13 @@ def _fit(verbs: argparse._SubParsersAction) -> None:
     )
     _add_case(parser)
     words = "measurements with the columns of a run's history.csv: time_h, lambda_x, sigma_x_kPa, ..."
-    parser.add_argument("data", metavar="DATA.csv", type=Path, help=words)
+    parser.add_argument("data", metavar="DATA.csv", type=_path, help=words)
     words = "a parameter to fit, with its bounds, such as law.0.mu_kPa=0.1..10; may be repeated"
     parser.add_argument("--free", metavar="KEY=LOW..HIGH", action="append", required=True, help=words)
     parser.add_argument(
         "--out",
         metavar="DIR",
-        type=Path,
+        type=_path,
         help="folder for the results (default: fits/NAME, with the name of the data file)",
     )
     _add_overrides(parser)
@@ -125,12 +128,12 @@ def _report(verbs: argparse._SubParsersAction) -> None:
     words = "write web pages about a run (finished or not) that open offline; several runs are compared"
     parser = verbs.add_parser("report", help=words, allow_abbrev=False)
     parser.add_argument(
-        "runs", metavar="DIR", nargs="+", type=Path, help="folder of a run; give several to compare them"
+        "runs", metavar="DIR", nargs="+", type=_path, help="folder of a run; give several to compare them"
     )
     parser.add_argument(
         "--out",
         metavar="DIR",
-        type=Path,
+        type=_path,
         help="folder for the pages (default: DIR/report; for several runs: comparison)",
     )
 
@@ -142,17 +145,17 @@ def _plan(verbs: argparse._SubParsersAction) -> None:
         "image",
         metavar="IMAGE",
         nargs="?",
-        type=Path,
+        type=_path,
         help="NIfTI, NRRD or MHA file, or a DICOM folder (default: the built-in phantom)",
     )
-    parser.add_argument("--labels", metavar="FILE", type=Path, help="label map to use instead of segmenting the image")
+    parser.add_argument("--labels", metavar="FILE", type=_path, help="label map to use instead of segmenting the image")
     parser.add_argument("--weighting", choices=("t1", "t1-fatsat"), default="t1")
     parser.add_argument("--side", choices=("left", "right"), default="left", help="side of the patient's breast")
     parser.add_argument(
         "--position", choices=("prone", "supine", "upright"), default="prone", help="position in the image"
     )
     parser.add_argument(
-        "--out", metavar="DIR", type=Path, default=Path("plan"), help="folder for cases and runs (default: plan)"
+        "--out", metavar="DIR", type=_path, default=Path("plan"), help="folder for cases and runs (default: plan)"
     )
     parser.add_argument("--port", type=int, default=0, help="port of the page's address (default: any free port)")
     parser.add_argument("--no-browser", action="store_true", help="print the address without opening a browser")
@@ -162,12 +165,24 @@ def _plan(verbs: argparse._SubParsersAction) -> None:
 def _bench(verbs: argparse._SubParsersAction) -> None:
     parser = verbs.add_parser("bench", help="measure how fast the program runs", allow_abbrev=False)
     parser.add_argument("names", metavar="NAME", nargs="*", help=f"a benchmark: {', '.join(BENCHMARKS)} (default: all)")
-    parser.add_argument("--json", metavar="FILE", type=Path, help="also write the measurements to this file")
+    parser.add_argument("--json", metavar="FILE", type=_path, help="also write the measurements to this file")
+
+
+def _path(text: str) -> Path:
+    """Return a path that the system can open or make; argparse puts the argument before the message."""
+    path = Path(text)
+    longest = max((len(os.fsencode(part)) for part in path.parts), default=0)
+    if not text.strip() or "\0" in text:
+        raise argparse.ArgumentTypeError(f"must name a file or folder; got {text!r}")
+    if longest > LONGEST_NAME or len(os.fsencode(text)) > LARGEST_NAME:
+        words = f"a path has at most {LARGEST_NAME} bytes, and each name in it {LONGEST_NAME}"
+        raise argparse.ArgumentTypeError(f"{words}; got {len(text)} characters, {text[:40]}...")
+    return path
 
 
 def _add_case(parser: argparse.ArgumentParser) -> None:
     """Add the positional argument for the case file."""
-    parser.add_argument("case", metavar="CASE.toml", type=Path, help="the case file")
+    parser.add_argument("case", metavar="CASE.toml", type=_path, help="the case file")
 
 
 def _add_overrides(parser: argparse.ArgumentParser) -> None:

@@ -14,6 +14,7 @@ from ..inference.fit_folder import claim_folder, write_fit
 from ..kinds.material_point.case import PointCase
 from ..kinds.material_point.measured import experiment, loading_of
 from ..kinds.registry import load_case
+from .printing import printable
 
 
 def run(args: argparse.Namespace) -> int:
@@ -86,8 +87,8 @@ def _print(found: Fit, folder: Path) -> None:
     for name, rms in found.rms_kPa.items():
         print(f"{name:<32} residual {rms:.3g} kPa (rms){_explained(found.r_squared[name])}")
     for note in found.notes:
-        print(note)
-    print(f"written to {folder}: fit.json, fitted.toml, residuals.csv, figures/fit.png")
+        print(printable(note))
+    print(printable(f"written to {folder}: fit.json, fitted.toml, residuals.csv, figures/fit.png"))
 
 
 def _explained(r_squared: float) -> str:

@@ -7,11 +7,12 @@ from collections.abc import Iterator
 from ..pages.run_view import assumption_of
 from ..runs.quantity import Quantity
 from ..runs.results import Results
+from .printing import printable
 
 
 def print_headline(results: Results) -> None:
     """Print how the run ended, the assumption behind the healed shape, the scalar outcomes, the figures and the folder."""
-    print(results.status[1])
+    print(printable(results.status[1]))
     assumption = assumption_of(results.manifest.get("case", {}))
     if assumption:
         print(assumption)
@@ -19,9 +20,9 @@ def print_headline(results: Results) -> None:
         print(line)
     if results.folder is not None:
         for picture in sorted((results.folder / "figures").glob("*.png")):
-            print(f"picture: {picture}")
-        print(f"folder:  {results.folder}")
-        print(f"pages:   cicatrix report {results.folder}")
+            print(printable(f"picture: {picture}"))
+        print(printable(f"folder:  {results.folder}"))
+        print(printable(f"pages:   cicatrix report {results.folder}"))
 
 
 def _numbers(results: Results) -> Iterator[str]:

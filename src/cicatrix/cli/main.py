@@ -19,6 +19,7 @@ from ..core.errors import CicatrixError, ConvergenceError, InputError
 from ..core.ranks import is_first_process, world
 from ..core.version import __version__
 from .arguments import build_parser
+from .printing import printable
 
 ON_RANKS = ("run",)  # verbs that several MPI ranks can run together
 
@@ -80,15 +81,15 @@ def _settle() -> None:
 def _report_error(error: CicatrixError) -> int:
     if isinstance(error, ConvergenceError):
         for line in error.history:
-            print(f"  {line}", file=sys.stderr)
-    _print_error(" ".join(str(error).split()))
+            print(f"  {printable(line)}", file=sys.stderr)
+    _print_error(str(error))
     return error.exit_code
 
 
 def _print_error(sentence: str) -> None:
     """Print a sentence to stderr, on one rank only."""
     if is_first_process():
-        print(f"cicatrix: {sentence}", file=sys.stderr)
+        print(f"cicatrix: {printable(sentence)}", file=sys.stderr)
 
 
 def _write_traceback() -> str:

@@ -10,13 +10,13 @@ from ..core.errors import InputError
 LARGEST_NAME = 4096  # bytes of a path that Linux opens
 
 
-def regular_file(path: Path) -> Path:
-    """Return the path of a file that can be read from its beginning to its end.
+def file_or_folder(path: Path) -> Path:
+    """Return the path of a file that can be read from its beginning to its end, or of a folder.
 
     Raises
     ------
     InputError
-        If there is no such file; if it is a folder, a device, a pipe or a socket, which may never end; or if it is refused.
+        If there is no such file; if it is a device, a pipe or a socket, which may never end; or if it is refused.
     """
     shown = str(path)
     if "\0" in shown:
@@ -29,10 +29,21 @@ def regular_file(path: Path) -> Path:
         raise InputError(f"{path}: there is no such file") from None
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
-    if stat.S_ISDIR(mode):
-        raise InputError(f"{path} is a folder; a file is needed")
-    if not stat.S_ISREG(mode):
+    if not stat.S_ISREG(mode) and not stat.S_ISDIR(mode):
         raise InputError(f"{path} is a device, a pipe or a socket; a file is needed")
+    return path
+
+
+def regular_file(path: Path) -> Path:
+    """Return the path of a file that can be read from its beginning to its end.
+
+    Raises
+    ------
+    InputError
+        As :func:`file_or_folder`, or if it is a folder.
+    """
+    if file_or_folder(path).is_dir():
+        raise InputError(f"{path} is a folder; a file is needed")
     return path
 
 

@@ -11,7 +11,7 @@ import re
 from pathlib import Path
 
 from ..core.errors import InputError
-from .opening import bytes_of
+from .opening import bytes_of, regular_file
 
 LARGEST = 256_000_000  # bytes of a text file that is read
 LEGACY = "cp1252"  # what spreadsheets of western Europe save without being asked
@@ -63,12 +63,21 @@ def tolerant_text_of(path: Path, largest: int = LARGEST) -> tuple[str, list[str]
 
 
 def sha256_of(path: Path) -> str:
-    """Hash a file's bytes; for a folder, hash the sorted hashes of its files, without their names."""
+    """Hash a file's bytes; for a folder, hash the sorted hashes of its files, without their names.
+
+    Raises
+    ------
+    InputError
+        If a file is not a regular one or cannot be read.
+    """
     if path.is_dir():
         digests = sorted(sha256_of(file) for file in path.rglob("*") if file.is_file())
         return hashlib.sha256("\n".join(digests).encode()).hexdigest()
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
+    try:
+        with regular_file(path).open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except OSError as error:
+        raise InputError(f"{path} cannot be read: {error.strerror}") from None
 
 
 def _encoding(data: bytes) -> tuple[str, int]:
