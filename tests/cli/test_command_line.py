@@ -67,6 +67,9 @@ def test_wrong_command_is_one_sentence(arguments, tmp_path):
             ("check", "case.toml", "--set", 'image.path="data\\breast"'),
             r"'data\x08reast', with the control character U+0008",
         ),
+        (("mesh", "a.nii", "--out", "b.vtu", "--edge-mm", "1_0"), "argument --edge-mm: '1_0' is not a number"),
+        (("mesh", "a.nii", "--out", "b.vtu", "--edge-mm", "nan"), "argument --edge-mm: 'nan' is not a number"),
+        (("plan", "--port", "99999"), "argument --port: must be 0 to 65535; got '99999'"),
         (("frob\x1b[31m",), r"invalid choice: 'frob\x1b[31m'"),
     ],
 )

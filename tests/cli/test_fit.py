@@ -58,6 +58,8 @@ def test_one_key_twice_is_refused(files, capsys):
         ("law.0.mu_kPa=a..b", "must read KEY=LOW..HIGH"),
         ("law.0.mu_kPa=2..1", "the bounds must ascend"),
         ("law.0.mu_kPa=0..nan", "must read KEY=LOW..HIGH"),
+        ("law.0.mu_kPa=1_0..20", "must read KEY=LOW..HIGH"),
+        ("law.0.mu_kPa=1..1e999", "must read KEY=LOW..HIGH"),
     ],
 )
 def test_wrong_wish_is_one_sentence(files, capsys, free, words):
@@ -73,7 +75,7 @@ def test_wrong_wish_is_one_sentence(files, capsys, free, words):
         ("time_h,lambda_x\n0,1\n", "data.csv: column sigma_x_kPa is missing; there are time_h, lambda_x"),
         ("time_h,lambda_x,sigma_x_kPa\n0,1,\n", "no row has a value for each of time_h, lambda_x, sigma_x_kPa"),
         ("time_h,lambda_x,sigma_x_kPa\n0,1\n", "row 2 must have 3 columns"),
-        ("", "data.csv is empty: it must start with a row of column names, such as time_h"),
+        ("", "data.csv is empty: it must start with a row of column names, time_h, lambda_x"),
     ],
 )
 def test_wrong_data_are_one_sentence(files, capsys, text, words):
@@ -103,6 +105,7 @@ def test_a_wrong_unit_fits_nothing(files, capsys):
     assert "nothing was fitted" in said
     assert "check the units" in said
     assert "law.0.mu_kPa is at its lower bound, 0.1" in said
+    assert not (files / "found").exists()
 
 
 def test_no_error_is_printed_where_there_is_none(files, capsys):

@@ -90,7 +90,7 @@ def test_a_cut_file_is_said(tmp_path):
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("", "is empty: it must start with a row of column names, such as time_h, lambda_x, sigma_x_kPa"),
+        ("", "is empty: it must start with a row of column names, time_h, lambda_x, sigma_x_kPa"),
         ("\n# a\n", "is empty"),
         ("time_h,lambda_x\n", "has no rows below its column names"),
         ("1,2\n3,4\n", 'row 1 must hold the column names; got "1"'),

@@ -13,9 +13,11 @@ from typing import NoReturn
 from ..bench.benchmarks import BENCHMARKS
 from ..core.errors import InputError
 from ..core.version import __version__
+from ..files.numerals import Numerals
 from ..files.opening import LARGEST_NAME
 
 LONGEST_NAME = 255  # bytes of a name within a path, in the file systems of today
+LARGEST_PORT = 2**16 - 1
 AFTER_DEMO = "; the last checkpoint is kept; run the same command again to continue"
 AFTER_RUN = "; to continue from the last checkpoint, run the same command with --resume"
 
@@ -84,14 +86,14 @@ def _segment(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--chest-wall-plane",
         nargs=6,
-        type=float,
+        type=_number,
         metavar=("X", "Y", "Z", "NX", "NY", "NZ"),
         help="chest wall given by a point [mm, LPS] and a normal, instead of finding it automatically",
     )
     parser.add_argument(
         "--resection-centre",
         nargs=3,
-        type=float,
+        type=_number,
         metavar=("X", "Y", "Z"),
         help="label a bright mass at this point [mm, LPS] as tumour",
     )
@@ -103,7 +105,7 @@ def _mesh(verbs: argparse._SubParsersAction) -> None:
         "labels", metavar="LABELS", type=_path, help="label map: 0 air, 1 fat, 2 gland, 3 skin, 4 tumour"
     )
     parser.add_argument("--out", type=_path, required=True, metavar="FILE", help="VTU file to write; must not exist")
-    parser.add_argument("--edge-mm", type=float, default=5.0, help="element edge [mm], 5 by default")
+    parser.add_argument("--edge-mm", type=_number, default=5.0, help="element edge [mm], 5 by default")
 
 
 def _fit(verbs: argparse._SubParsersAction) -> None:
@@ -157,7 +159,7 @@ def _plan(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--out", metavar="DIR", type=_path, default=Path("plan"), help="folder for cases and runs (default: plan)"
     )
-    parser.add_argument("--port", type=int, default=0, help="port of the page's address (default: any free port)")
+    parser.add_argument("--port", type=_port, default=0, help="port of the page's address (default: any free port)")
     parser.add_argument("--no-browser", action="store_true", help="print the address without opening a browser")
     parser.set_defaults(after_interruption="; the planning page is closed; a run in progress has saved its state")
 
@@ -178,6 +180,21 @@ def _path(text: str) -> Path:
         words = f"a path has at most {LARGEST_NAME} bytes, and each name in it {LONGEST_NAME}"
         raise argparse.ArgumentTypeError(f"{words}; got {len(text)} characters, {text[:40]}...")
     return path
+
+
+def _number(text: str) -> float:
+    """Return a finite number."""
+    try:
+        return Numerals().number(text.strip())
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(f"{text!r} {error}") from None
+
+
+def _port(text: str) -> int:
+    """Return the number of a TCP port."""
+    if not text.isdecimal() or len(text) > 5 or int(text) > LARGEST_PORT:
+        raise argparse.ArgumentTypeError(f"must be 0 to {LARGEST_PORT}; got {text!r}")
+    return int(text)
 
 
 def _add_case(parser: argparse.ArgumentParser) -> None:

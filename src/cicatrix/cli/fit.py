@@ -7,8 +7,9 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
-from ..core.errors import InputError
+from ..core.errors import CicatrixError, InputError
 from ..files.measurements import read_measurements
+from ..files.numerals import Numerals
 from ..inference.fit import Fit, fit
 from ..inference.fit_folder import claim_folder, write_fit
 from ..kinds.material_point.case import PointCase
@@ -29,7 +30,11 @@ def run(args: argparse.Namespace) -> int:
     except InputError as error:
         raise InputError(f"{args.data}: {error}") from None
     folder = claim_folder(args.out or Path("fits") / args.data.stem)
-    found = fit(case, measured, bounds)
+    try:
+        found = fit(case, measured, bounds)
+    except CicatrixError:
+        folder.rmdir()
+        raise
     write_fit(
         folder,
         case,
@@ -55,10 +60,10 @@ def _bounds(text: str) -> tuple[str, tuple[float, float]]:
     key, equals, span = text.partition("=")
     low, dots, high = span.partition("..")
     try:
-        ends = float(low), float(high)
+        ends = Numerals().number(low.strip()), Numerals().number(high.strip())
     except ValueError:
         ends = None
-    if not (key and equals and dots and ends) or not all(abs(end) < float("inf") for end in ends):
+    if not (key and equals and dots and ends):
         raise InputError(f"--free {text}: must read KEY=LOW..HIGH, such as law.0.mu_kPa=0.1..10")
     return key.strip().replace("[", ".").replace("]", ""), ends
 

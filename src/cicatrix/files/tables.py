@@ -109,7 +109,7 @@ def read_table(path: Path, names: Sequence[str] = ()) -> CsvTable:
     known = {name.lower() for name in names}
     records = list(_records(path, text, directive[1] if directive else _separator(text, known)))
     if not records:
-        such = f", such as {', '.join(names)}" if names else ""
+        such = f", {', '.join(names)}" if names else ""
         raise InputError(f"{path} is empty: it must start with a row of column names{such}")
     head, *rows = records[_titles(records, known) :]
     _check_names(path, *head)
