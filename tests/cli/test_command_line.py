@@ -61,7 +61,11 @@ def test_wrong_command_is_one_sentence(arguments, tmp_path):
         (("check", "a" * 5000), "a path has at most 4096 bytes, and each name in it 255; got 5000 characters"),
         (("run", "case.toml", "--out", "a" * 300), "argument --out: a path has at most 4096 bytes"),
         (("run", "case.toml", "--out", ""), "argument --out: must name a file or folder"),
-        (("check", "a\x1b[31m.toml"), r"a\x1b[31m.toml: there is no such file"),
+        (
+            ("check", "a\x1b[31m.toml"),
+            r"argument CASE.toml: must name a file or folder, without control characters; got 'a\x1b",
+        ),
+        (("check", "a\udce9\u202e.toml"), r"a\udce9\u202e.toml: there is no such file"),
         (("check", "case.toml", "--set", "run.a\x07\u202e=1"), r"run.a\x07\u202e is not a known key"),
         (
             ("check", "case.toml", "--set", 'image.path="data\\breast"'),

@@ -394,6 +394,12 @@ def test_data_prefix(write, tmp_path, monkeypatch):
     assert "which is not a folder" in check_case(write(text))[0]
 
 
+def test_an_endless_name_of_the_data_folder_is_a_sentence(write, monkeypatch):
+    monkeypatch.setenv("CICATRIX_DATA", "a" * 5000)
+    (fault,) = check_case(write('kind = "lumpectomy"\n[image]\npath = "data:a.nii.gz"\n'))
+    assert "which is not a folder" in fault
+
+
 def test_data_beside_the_project(tmp_path, monkeypatch):
     monkeypatch.delenv("CICATRIX_DATA", raising=False)
     project, data = tmp_path / "project", tmp_path / "shared" / "data"

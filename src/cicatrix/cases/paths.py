@@ -61,6 +61,13 @@ def _may_exist(path: Path) -> bool:
         return True
 
 
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except OSError:
+        return False
+
+
 def data_folder(start: Path | None = None) -> Path:
     """Return the folder of shared image data: ``CICATRIX_DATA``, or ``../shared/data`` beside a project's root.
 
@@ -76,7 +83,7 @@ def data_folder(start: Path | None = None) -> Path:
     """
     named = os.environ.get(DATA_VARIABLE)
     if named:
-        if not Path(named).is_dir():
+        if not _is_folder(Path(named)):
             raise InputError(f"needs the image data, but {DATA_VARIABLE} names {named}, which is not a folder")
         return Path(named).resolve()
     for root in _project_roots([start or Path(), Path(), Path(__file__).parent]):

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 from pathlib import Path
 from typing import NoReturn
 
@@ -174,8 +175,8 @@ def _path(text: str) -> Path:
     """Return a path that the system can open or make; argparse puts the argument before the message."""
     path = Path(text)
     longest = max((len(os.fsencode(part)) for part in path.parts), default=0)
-    if not text.strip() or "\0" in text:
-        raise argparse.ArgumentTypeError(f"must name a file or folder; got {text!r}")
+    if not text.strip() or re.search(r"[\x00-\x1f\x7f-\x9f]", text):
+        raise argparse.ArgumentTypeError(f"must name a file or folder, without control characters; got {text!r}")
     if longest > LONGEST_NAME or len(os.fsencode(text)) > LARGEST_NAME:
         words = f"a path has at most {LARGEST_NAME} bytes, and each name in it {LONGEST_NAME}"
         raise argparse.ArgumentTypeError(f"{words}; got {len(text)} characters, {text[:40]}...")

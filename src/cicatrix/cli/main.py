@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import atexit
 import gc
+import io
 import os
 import signal
 import sys
@@ -67,12 +68,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def _settle() -> None:
-    """Configure garbage collection and OpenBLAS, which may be set for the whole process as it runs nothing but this command.
+    """Configure garbage collection, OpenBLAS and the output, for the whole process as it runs nothing but this command.
 
     Python collects cyclic garbage rarely, and not at exit, because imported modules and JAX traces are needed to the end. Idle
     threads of OpenBLAS sleep; by default they keep a core busy until the next operation. The defaults took a third
-    of the processor time of a second run.
+    of the processor time of a second run. What the terminal's encoding lacks is written as an escape.
     """
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")
     gc.set_threshold(100_000, 20, 100)
     atexit.register(gc.freeze)
     os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")  # 2^4 cycles; read when NumPy is imported
