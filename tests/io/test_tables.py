@@ -8,6 +8,7 @@ import pytest
 
 from cicatrix.core.errors import InputError
 from cicatrix.files.measurements import read_measurements
+from cicatrix.files.networks import read_network
 from cicatrix.files.numerals import Numerals, numerals_of
 from cicatrix.files.tables import read_table
 from cicatrix.files.text import text_of
@@ -201,3 +202,18 @@ def test_whatever_the_bytes_a_table_is_read_or_refused(tmp_path):
         n_read += 1
         assert not any(np.isinf(column).any() for column in columns.values())
     assert n_read > 20
+
+
+def test_a_network_of_two_tables_as_a_spreadsheet_saves_them(tmp_path):
+    """Byte order mark, semicolons, decimal commas, Windows-1252 in a column of notes; a cell that is no number is told."""
+    species = "\ufeffid;y_init;y_max;tau_h\r\nA;0;1;0,5\r\nB;0;1;1\r\n"
+    reactions = "id;rule;weight;n;ec50;what\ni;=> A;0,5;1,4;0,5;\xb5\nr;A => B;1;1,4;0,5;\n"
+    (tmp_path / "species.csv").write_bytes(species.encode())
+    (tmp_path / "reactions.csv").write_bytes(reactions.encode("latin-1"))
+    model = read_network(tmp_path / "species.csv", tmp_path / "reactions.csv")
+    assert model.law.tau.tolist() == [1800.0, 3600.0]
+    assert model.law.n.tolist() == [1.4, 1.4]
+    assert "read as Windows-1252" in model.notes[0]
+    (tmp_path / "species.csv").write_text(species.replace("0,5", "1_0,5"))
+    with pytest.raises(InputError, match=r'species.csv: row 2, column tau_h: "1_0,5" is not a number'):
+        read_network(tmp_path / "species.csv", tmp_path / "reactions.csv")

@@ -33,10 +33,8 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
     inhibition : str
         "complement" or "weighted", as in :class:`.HillNetwork`.
     """
-    (states, (start, y_max, tau_h), assumed), (links, (weight, n, ec50), assumed_too) = (
-        _table(path, columns, columns[first:])
-        for path, columns, first in ((species, SPECIES, 1), (reactions, REACTIONS, 2))
-    )
+    states, (start, y_max, tau_h), assumed = _table(species, SPECIES, SPECIES[1:])
+    links, (weight, n, ec50), assumed_of_links = _table(reactions, REACTIONS, REACTIONS[2:])
     for key, is_good, words in (("y_init", start >= 0.0, "at least 0"), ("tau_h", tau_h > 0.0, "above 0")):
         for row in (row for row, good in zip(states, is_good) if not good):
             raise InputError(f'{species}: species "{row["id"]}": {key} must be {words}; got {row[key]}')
@@ -48,7 +46,7 @@ def read_network(species: Path, reactions: Path, inhibition: Inhibition = "compl
     except InputError as error:
         path = species if str(error).startswith("species") else reactions
         raise InputError(f"{path}: {error}") from None
-    notes = [*assumed, *assumed_too, *(f'Nothing acts on "{name}": it decays to 0.' for name in wiring.undriven)]
+    notes = [*assumed, *assumed_of_links, *(f'Nothing acts on "{name}": it decays to 0.' for name in wiring.undriven)]
     slowest_h = float(hours_from_seconds(tau.max()))
     return NetworkModel(law, start, weight[wiring.input_reactions], y_max, slowest_h, True, tuple(notes))
 

@@ -51,24 +51,10 @@ def experiment(loading: LoadingTable, measured: Measurements) -> Experiment:
     """
     names = _names(loading, measured.columns)
     found, rows = _whole(measured, names)
-    n, thickness = len(rows), loading.thickness
-    gaps = np.setdiff1d(np.arange(len(measured.columns["time_h"])), rows)
-    free_z = np.ones(n) if thickness == "strain" else np.zeros(n)
-    value = [found["lambda_x"], found.get("lambda_y", np.zeros(n)), found.get("lambda_z", free_z)]
-    by = control(
-        "stretch",
-        "stretch" if "lambda_y" in found else "stress",
-        "stretch" if thickness in ("given", "strain") else "stress",
-        thickness == "incompressible",
-    )
-    asked = Instant(seconds_from_hours(found["time_h"]), np.column_stack(value), found.get("shear", np.zeros(n)))
-    notes = [*measured.notes, *_contradictions(thickness, {k: v[rows] for k, v in measured.columns.items()}, names)]
-    if len(gaps):
-        first = measured.row(gaps[0])
-        notes.append(
-            f"Rows without a value in each of {', '.join(names)} are left out: {len(gaps)}, the first is row {first}."
-        )
-    return Experiment(by, asked, {name: found[name] for name in STRESSES if name in found}, found, tuple(notes))
+    spare = {name: values[rows] for name, values in measured.columns.items()}
+    notes = (*measured.notes, *_contradictions(loading.thickness, spare, names), *_gaps(measured, names, rows))
+    stresses = {name: found[name] for name in STRESSES if name in found}
+    return Experiment(*_prescribed(loading.thickness, found), stresses, found, notes)
 
 
 def loading_of(measured: Measurements) -> dict[str, Any]:
@@ -93,6 +79,28 @@ def _names(loading: LoadingTable, columns: Mapping[str, np.ndarray]) -> list[str
         pairs["lambda_z"] = "sigma_z_kPa"
     shear = [name for name in ("shear", "sigma_xy_kPa") if "shear" in columns and name in columns]
     return ["time_h", *pairs, *pairs.values(), *shear]
+
+
+def _prescribed(thickness: str, found: Mapping[str, np.ndarray]) -> tuple[Control, Instant]:
+    """Return what is prescribed along each axis, and its values at the measurements."""
+    n = len(found["time_h"])
+    free_z = np.ones(n) if thickness == "strain" else np.zeros(n)
+    value = [found["lambda_x"], found.get("lambda_y", np.zeros(n)), found.get("lambda_z", free_z)]
+    by = control(
+        "stretch",
+        "stretch" if "lambda_y" in found else "stress",
+        "stretch" if thickness in ("given", "strain") else "stress",
+        thickness == "incompressible",
+    )
+    return by, Instant(seconds_from_hours(found["time_h"]), np.column_stack(value), found.get("shear", np.zeros(n)))
+
+
+def _gaps(measured: Measurements, names: Sequence[str], rows: np.ndarray) -> Iterator[str]:
+    """Yield a sentence if not all rows are in use."""
+    gaps = np.setdiff1d(np.arange(len(measured.columns["time_h"])), rows)
+    if len(gaps):
+        words = f"are left out: {len(gaps)}, the first is row {measured.row(gaps[0])}"
+        yield f"Rows without a value in each of {', '.join(names)} {words}."
 
 
 def _whole(measured: Measurements, names: Sequence[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
