@@ -133,6 +133,7 @@ def test_a_fault_names_its_place(text, words, tmp_path):
         (["0,125", "1,125"], [0.125, 1.125]),  # no group of thousands starts with 0
         (["1'234.5", "1\N{NARROW NO-BREAK SPACE}234"], [1234.5, 1234.0]),
         (["-1,5e-3"], [-0.0015]),
+        (["\N{MINUS SIGN}0,5", "1'234,5"], [-0.5, 1234.5]),
         (["1.025", "3"], [1.025, 3.0]),
     ],
 )

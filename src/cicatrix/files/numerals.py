@@ -32,7 +32,7 @@ class Numerals(NamedTuple):
         ValueError
             If it is no finite number, or may be one of two; the message tells which, and follows the text.
         """
-        text = SPACED.sub("", text.replace(MINUS, "-"))
+        text = _plain(text)
         if PLAIN.fullmatch(text) and self.mark != ",":
             return _finite(text)
         if not EITHER.fullmatch(text):
@@ -57,11 +57,17 @@ def numerals_of(texts: Sequence[str]) -> Numerals:
     """Judge from all numbers of a table how they are written; of two marks in use, take the more frequent one."""
     if not any("," in text or text.count(".") > 1 for text in texts):
         return Numerals()
+    texts = [_plain(text) for text in texts]
     votes = [_vote(text) for text in texts]
     points, commas = votes.count("."), votes.count(",")
     mark = "" if points == commas == 0 else "." if points >= commas else ","
     group = OTHER.get(mark, "")
     return Numerals(mark, any(_shows_groups(text, group) for text in texts if group and group in text))
+
+
+def _plain(text: str) -> str:
+    """Return a text with the minus of a keyboard and without spaces or apostrophes between thousands."""
+    return SPACED.sub("", text.replace(MINUS, "-"))
 
 
 def _vote(text: str) -> str:
