@@ -112,7 +112,6 @@ def test_a_cut_file_is_said(tmp_path):
         ("time_h;lambda_x\n1;1,025\n", '"1,025" may be 1.025 or 1025'),
         ("time_h;lambda_x\n0.5;1,25\n1.5;1.25\n", '"1,25" is not a number with a decimal point, as in other cells'),
         ('time_h,lambda_x\n0,"1\n2,3\n', "row 2 cannot be split into cells"),
-        ("time_h,lambda_x\n0," + 200_000 * "1" + "\n", "row 2 cannot be split into cells"),
         ("time_h,lambda_x\n0,\x001\n", "is not a text file: line 2 has the control character U+0000"),
     ],
 )
@@ -121,6 +120,16 @@ def test_a_fault_names_its_place(text, words, tmp_path):
         read(tmp_path, text)
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_an_endless_cell_is_refused_at_once(tmp_path):
+    for cell, words in (
+        (200_000 * "1", "cannot be split into cells"),
+        (100_000 * "1" + "x", "not a number"),
+        (50_000 * ",.", ""),
+    ):
+        with pytest.raises(InputError, match=words):
+            read(tmp_path, f"time_h;lambda_x\n0;{cell}\n")
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 MINUS = "\N{MINUS SIGN}"
 EXPONENT = r"(?:[eE][+-]?[0-9]+)?"
-PLAIN = re.compile(rf"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+){EXPONENT}")
-EITHER = re.compile(rf"[+-]?([0-9.,]*[0-9][0-9.,]*){EXPONENT}")
+PLAIN = re.compile(rf"[+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+){EXPONENT}")  # linear: no run of digits can be split
+EITHER = re.compile(rf"[+-]?(?=[.,]*[0-9])([0-9.,]+){EXPONENT}")
 ONE_GROUP = re.compile(r"[1-9][0-9]{0,2}[.,][0-9]{3}")  # 1,234: thousands, or three decimals
 SPACED = re.compile(r"(?<=[0-9])['\N{RIGHT SINGLE QUOTATION MARK}\u00a0\u2009\u202f](?=[0-9]{3}(?![0-9]))")  # 1'234
 OTHER = {".": ",", ",": "."}

@@ -13,7 +13,7 @@ from pathlib import Path
 from ..core.errors import InputError
 from .opening import bytes_of, regular_file
 
-LARGEST = 256_000_000  # bytes of a text file that is read
+LARGEST = 50_000_000  # bytes of a text file that is read
 LEGACY = "cp1252"  # what spreadsheets of western Europe save without being asked
 MARKS = {  # byte order mark: encoding; those of UTF-32 first, as that of UTF-16 begins one of them
     codecs.BOM_UTF32_LE: "utf-32-le",
