@@ -77,7 +77,7 @@ def at_bounds(keys: Sequence[str], x: np.ndarray, low: np.ndarray, high: np.ndar
     """Return the parameters at a bound: key -> which bound, in words."""
     at_bound = np.minimum(x - low, high - x) < BOUND_TOLERANCE * (high - low)
     out = {}
-    for i in np.flatnonzero(at_bound):
+    for i in np.flatnonzero(at_bound).tolist():
         end = "lower" if abs(x[i] - low[i]) <= abs(x[i]) * 1e-3 + BOUND_TOLERANCE else "upper"
         out[keys[i]] = f"its {end} bound, {x[i]:.6g}"
     return out
