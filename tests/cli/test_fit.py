@@ -45,6 +45,12 @@ def test_folder_of_a_fit(files, capsys):
     assert "found exists" in capsys.readouterr().err
 
 
+def test_only_a_material_point_is_fitted(files, capsys):
+    (files / "case.toml").write_text('kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n')
+    assert main(["fit", "case.toml", "data.csv", *FREE]) == 2
+    assert 'kind must be "material-point" for a fit; got "lumpectomy"' in capsys.readouterr().err
+
+
 def test_one_key_twice_is_refused(files, capsys):
     assert main(["fit", "case.toml", "data.csv", *FREE, "--free", "law[0].mu_kPa=1..2"]) == 2
     assert "--free law.0.mu_kPa is given twice" in capsys.readouterr().err
@@ -86,12 +92,21 @@ def test_wrong_data_are_one_sentence(files, capsys, text, words):
     assert said.count("\n") == 1
 
 
-def test_a_fit_needs_no_loading_but_the_data_s(files):
+def test_a_fit_needs_no_loading_but_the_data_s(files, capsys):
     (files / "case.toml").write_text(CASE.partition("[loading]")[0])
     assert main(["fit", "case.toml", "data.csv", *FREE, "--out", "found"]) == 0
     loading = cicatrix.load_case(files / "found" / "fitted.toml").loading
     assert loading.time_h == pytest.approx([0.1 * row for row in range(8)])
     assert loading.x == pytest.approx(np.linspace(1.0, 1.5, 8))
+    for text, words in (
+        ("time_s,lambda_x,sigma_x_kPa\n0,1,0\n", 'data.csv: column time_h is missing: divide "time_s" by 3600'),
+        ("time_h,strain,sigma_x_kPa\n0,1,0\n", 'data.csv: column lambda_x is missing: take 1 + "strain"'),
+        ("time_h,lambda_x,sigma_x_kPa\n0,1.1,\n", "data.csv: no row has a value for each of"),
+    ):
+        (files / "other").mkdir(exist_ok=True)
+        (files / "other" / "data.csv").write_text(text)
+        assert main(["fit", "case.toml", "other/data.csv", *FREE]) == 2
+        assert words in capsys.readouterr().err
     (files / "case.toml").write_text(CASE.partition("time_h")[0] + "x = [1.0, 1.2]\n")
     assert main(["fit", "case.toml", "data.csv", *FREE]) == 2  # x without its times is a fault
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from math import isfinite
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from ..core.errors import CicatrixError, InputError
 from ..files.measurements import read_measurements
@@ -17,18 +18,17 @@ from ..kinds.material_point.measured import experiment, loading_of
 from ..kinds.registry import load_case
 from .printing import printable
 
+Made = TypeVar("Made")
+
 
 def run(args: argparse.Namespace) -> int:
     """Fit, write the folder, print a line per parameter."""
     bounds = _all_bounds(args.free)
     data = read_measurements(args.data)
-    case = load_case(args.case, args.set, {"loading": loading_of(data)})
+    case = load_case(args.case, args.set, {"loading": _about(args.data, loading_of, data)})
     if not isinstance(case, PointCase):
         raise InputError(f'{args.case}: kind must be "material-point" for a fit; got "{case.kind}"')
-    try:
-        measured = experiment(case.loading, data)
-    except InputError as error:
-        raise InputError(f"{args.data}: {error}") from None
+    measured = _about(args.data, experiment, case.loading, data)
     folder = claim_folder(args.out or Path("fits") / args.data.stem)
     try:
         found = fit(case, measured, bounds)
@@ -45,6 +45,14 @@ def run(args: argparse.Namespace) -> int:
     )
     _print(found, folder)
     return 0
+
+
+def _about(path: Path, make: Callable[..., Made], *what: Any) -> Made:
+    """Return what is made of a file's content; an error begins with the file's name."""
+    try:
+        return make(*what)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def _all_bounds(texts: list[str]) -> dict[str, tuple[float, float]]:

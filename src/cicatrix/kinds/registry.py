@@ -118,13 +118,13 @@ def _examined(
 ) -> tuple[Any, list[str]]:
     try:
         tables = read_tables(path, overrides)
-        for name, keys in spare.items():
-            table = tables.setdefault(name, {})
-            if isinstance(table, dict) and not table.keys() & keys.keys():
-                table |= keys
         kind = case_type(kind_of(tables, KINDS))
     except InputError as error:
         return None, [str(error)]
+    for name, keys in spare.items():
+        table = tables.setdefault(name, {}) if name in kind.model_fields else None
+        if isinstance(table, dict) and not table.keys() & keys.keys():
+            table |= keys
     return kind.checked(tables, path.parent)
 
 

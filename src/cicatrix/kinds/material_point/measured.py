@@ -58,16 +58,28 @@ def experiment(loading: LoadingTable, measured: Measurements) -> Experiment:
 
 
 def loading_of(measured: Measurements) -> dict[str, Any]:
-    """Return the keys of a table [loading] that follows a measurement: times that ascend, and stretches at them; or nothing."""
-    names = {"lambda_x": "x", "lambda_y": "y", "shear": "shear"}
-    there = {key: measured.columns[name] for name, key in names.items() if name in measured.columns}
-    if "time_h" not in measured.columns or "x" not in there:
+    """Return the keys of a table [loading] that follows a measurement: times that ascend, and stretches at them.
+
+    A single time is followed by another an hour later, as a loading has two at least; without a whole row there is nothing.
+
+    Raises
+    ------
+    InputError
+        If times or stretches along x are missing.
+    """
+    for name in ("time_h", "lambda_x"):
+        if name not in measured.columns:
+            raise measured.missing(name)
+    there = [name for name in ("lambda_x", "lambda_y", "shear") if name in measured.columns]
+    table = np.column_stack([measured.columns[name] for name in ("time_h", *there)])
+    table = table[np.isfinite(table).all(axis=1)]
+    times, first = np.unique(table[:, 0], return_index=True)
+    if not len(times):
         return {}
-    is_whole = np.isfinite(np.column_stack([measured.columns["time_h"], *there.values()])).all(axis=1)
-    times, first = np.unique(measured.columns["time_h"][is_whole], return_index=True)
-    if len(times) < 2:
-        return {}
-    return {"time_h": times.tolist()} | {key: values[is_whole][first].tolist() for key, values in there.items()}
+    if len(times) == 1:
+        times, first = np.append(times, times + 1.0), np.append(first, first)
+    values = {name.removeprefix("lambda_"): table[first, 1 + at].tolist() for at, name in enumerate(there)}
+    return {"time_h": times.tolist()} | values
 
 
 def _names(loading: LoadingTable, columns: Mapping[str, np.ndarray]) -> list[str]:
