@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, get_args
+from typing import Any, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 
 from .bounds import FAULT, OUT_OF_RANGE
 
@@ -17,6 +18,7 @@ TYPE_WORDS = {
     "path_type": "must be a text that names a file",
     "tuple_type": "must be a list",
     "model_type": "must be a table",
+    "dict_type": "must be a table",
 }
 
 
@@ -92,25 +94,34 @@ def known_keys(table: type[BaseModel], prefix: str = "") -> list[str]:
         names.append(prefix + name)
         for candidate in (field.annotation, *getattr(field.annotation, "__args__", ())):
             if isinstance(candidate, type) and issubclass(candidate, BaseModel):
-                names += known_keys(candidate, f"{prefix}{name}.")
+                names += known_keys(candidate, f"{prefix}{name}.{'<name>.' if _is_by_name(field) else ''}")
     return names
 
 
 def _tables_at(loc: Sequence[str | int], kind: type[BaseModel]) -> list[type[BaseModel]]:
     """Return the types that the table at a location may have; a single one if the location contains the tag of its type."""
     found: list[type[BaseModel]] = [kind]
+    is_by_name = False
     for part in loc:
-        if isinstance(part, str) and part.startswith("<"):
+        if is_by_name:  # a name that the user chose
+            is_by_name = False
+        elif isinstance(part, str) and part.startswith("<"):
             found = [table for table in found if part == tag_of(*get_args(table.model_fields["type"].annotation))]
         elif isinstance(part, str):
             fields = [table.model_fields[part] for table in found if part in table.model_fields]
             found = [table for field in fields for table in _tables_in(field.annotation)]
+            is_by_name = any(_is_by_name(field) for field in fields)
     return found
 
 
 def _tag_at(loc: Sequence[str | int]) -> str:
     """Return the name of the law, or of another of several types, whose table is at a location; empty if it is no such table."""
     return str(loc[-1]).strip("<>") if loc and str(loc[-1]).startswith("<") else ""
+
+
+def _is_by_name(field: FieldInfo) -> bool:
+    """Return whether a key is a table of tables by names that the user chooses."""
+    return get_origin(field.annotation) is dict
 
 
 def _tables_in(annotation: Any) -> list[type[BaseModel]]:

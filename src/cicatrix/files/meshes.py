@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -12,8 +12,11 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.units import density_kg_m3, density_kg_mm3, mm_from
-from ..geometry.tetrahedra import boundary, check, unmirrored
-from .vtu import read_mesh, write_vtu
+from ..geometry.tetrahedra import boundary, check, middles_between, unmirrored
+from .mesh_formats import read_mesh
+from .mesh_groups import Groups, groups_of
+from .mesh_tissue import Tissue, cell_data, refuse, tissue_of
+from .vtu import write_vtu
 
 if TYPE_CHECKING:
     from ..geometry.meshing3d import BodyMesh
@@ -21,6 +24,20 @@ if TYPE_CHECKING:
 CELLS = {"tetra": 4, "tetra10": 10}
 T = TypeVar("T")
 SURFACES = ("vertex", "line", "line3", "triangle", "triangle6")  # other cells that mesh generators write
+COARSE = 1e-4  # rounding of coordinates over the mesh's extent that is told
+
+
+@dataclass(frozen=True)
+class ByGroup:
+    """What a case gives to groups of the mesh, by their names; it goes before the data in the file."""
+
+    fixed: tuple[str, ...] = ()
+    sliding: tuple[str, ...] = ()
+    pressurised: tuple[str, ...] = ()
+    wound: tuple[str, ...] = ()
+    displacement: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Prescribed displacement of the nodes of a group, which are fixed there [mm]."""
+    materials: Mapping[str, Tissue] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -41,6 +58,8 @@ class MeshedBody:
         Corners of boundary faces that slide along themselves, and of those that carry pressure.
     E, nu, density : (m,) arrays [kPa], [1], [kg/mm^3]
         Tissue of each tetrahedron.
+    notes : tuple of str
+        What was assumed about the file.
     """
 
     points: np.ndarray
@@ -52,10 +71,13 @@ class MeshedBody:
     E: np.ndarray
     nu: np.ndarray
     density: np.ndarray
+    notes: tuple[str, ...] = ()
 
 
-def read_body(path: Path, unit: str, elastic: tuple[float, float] | None = None) -> MeshedBody:
-    """Read a mesh of tetrahedra with its tissue; any format of meshio, such as VTU.
+def read_body(
+    path: Path, unit: str, elastic: tuple[float, float] | None = None, by_group: ByGroup | None = None
+) -> MeshedBody:
+    """Read a mesh of tetrahedra with its tissue; the formats of :func:`.mesh_formats.read_mesh`, such as VTU.
 
     Parameters
     ----------
@@ -66,26 +88,28 @@ def read_body(path: Path, unit: str, elastic: tuple[float, float] | None = None)
         Unit of the coordinates.
     elastic : (float, float), optional
         Young's modulus [kPa] and Poisson's ratio of the whole body, used instead of those in the file.
+    by_group : ByGroup, optional
+        Supports, loads and tissue of groups of the file, used instead of its data.
 
     Raises
     ------
     InputError
         If the file is not such a mesh, or the mesh is not valid for a body; the message begins with the file's name.
     """
-    return _read(path, lambda mesh: _body(mesh, unit, elastic))
+    return _read(path, lambda mesh: _body(mesh, unit, elastic, by_group or ByGroup()))
 
 
-def read_wound(path: Path, unit: str) -> tuple[TetrahedralMesh, np.ndarray]:
+def read_wound(path: Path, unit: str, by_group: ByGroup | None = None) -> tuple[TetrahedralMesh, np.ndarray]:
     """Read a mesh of tetrahedra with a wound; return it, and whether each tetrahedron belongs to the wound (m,) bool.
 
-    The file has cell data ``wound`` and point data ``fixed``, both 0 or 1.
+    The file has cell data ``wound`` and point data ``fixed``, both 0 or 1, or groups of cells and nodes that ``by_group`` names.
 
     Raises
     ------
     InputError
         If the file is not such a mesh, or the mesh is not valid for a body; the message begins with the file's name.
     """
-    return _read(path, lambda mesh: _wound(mesh, unit))
+    return _read(path, lambda mesh: _wound(mesh, unit, by_group or ByGroup()))
 
 
 def _read(path: Path, of: Callable[[meshio.Mesh], T]) -> T:
@@ -115,66 +139,104 @@ class TetrahedralMesh(NamedTuple):
     """Whether each node is constrained (n,) bool."""
     kind: str
     """Name of the cell type in meshio."""
+    groups: Groups
+    notes: tuple[str, ...]
 
 
-def _tetrahedral_mesh(mesh: meshio.Mesh, unit: str) -> TetrahedralMesh:
-    kinds = {block.type for block in mesh.cells}
-    wrong = sorted(kinds - CELLS.keys() - set(SURFACES))
-    if wrong or len(kinds & CELLS.keys()) != 1:
-        found = ", ".join(sorted(kinds)) or "no cells"
-        raise InputError(f"the cells must be tetrahedra of 4 nodes, or of 10; the file has {found}")
-    (kind,) = kinds & CELLS.keys()
+# ---- geometry and supports
+
+
+def _tetrahedral_mesh(mesh: meshio.Mesh, unit: str, by_group: ByGroup) -> TetrahedralMesh:
+    kind = _kind(mesh)
     points = mm_from(np.asarray(mesh.points, float), unit)
     if points.shape[1:] != (3,):
         raise InputError("the nodes must have three coordinates")
     tetrahedra = unmirrored(points, np.vstack([block.data for block in mesh.cells if block.type == kind]).astype(int))
-    if "fixed" not in mesh.point_data:
-        raise InputError("point data `fixed` (1 where a node is fixed, else 0) are missing")
-    return TetrahedralMesh(points, tetrahedra, _marked(mesh.point_data, "fixed", len(points)), kind)
+    groups, notes = groups_of(mesh, kind), [*mesh.info, *_rounding(mesh.points, unit)]
+    is_moved = groups.marked(by_group.displacement, "body.displacement_mm")
+    is_fixed = is_moved | _marks(mesh, "fixed", groups, by_group.fixed, notes)
+    if "fixed" not in mesh.point_data and not by_group.fixed and not by_group.displacement:
+        hint = f'; name the group of fixed nodes, body.fixed = "NAME": {groups.hint()}' if groups.hint() else ""
+        raise InputError(f"point data `fixed` (1 where a node is fixed, else 0) are missing{hint}")
+    return TetrahedralMesh(points, tetrahedra, is_fixed, kind, groups, tuple(notes))
 
 
-def _wound(mesh: meshio.Mesh, unit: str) -> tuple[TetrahedralMesh, np.ndarray]:
-    solid = _tetrahedral_mesh(mesh, unit)
-    check(solid.points, solid.tetrahedra, solid.is_fixed, np.zeros_like(solid.is_fixed))
-    marked = _cell_data(mesh, "wound", solid.kind)
-    _refuse(~np.isin(marked, (0, 1)), "wound must be 0 or 1", marked)
-    if marked.all() or not marked.any():
-        raise InputError("cell data `wound` must be 1 in some tetrahedra, those of the wound, and 0 in others")
-    return solid, marked == 1
-
-
-def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None) -> MeshedBody:
-    points, tetrahedra, is_fixed, kind = _tetrahedral_mesh(mesh, unit)
-    is_sliding, is_pressurised = (_marked(mesh.point_data, name, len(points)) for name in ("sliding", "pressurised"))
-    check(points, tetrahedra, is_fixed, is_sliding)
-    _check_faces("sliding", is_sliding, tetrahedra)
-    _check_faces("pressurised", is_pressurised, tetrahedra)
-    displacement = _displacement(mesh.point_data, is_fixed)
-    density = _cell_data(mesh, "density_kg_m3", kind)
-    if elastic is None:
-        E, nu = (_cell_data(mesh, name, kind) for name in ("youngs_modulus_kPa", "poisson_ratio"))
+def _kind(mesh: meshio.Mesh) -> str:
+    """Return the type of the tetrahedra, the only cells with a volume that the mesh may have."""
+    counts: dict[str, int] = {}
+    for block in mesh.cells:
+        counts[block.type] = counts.get(block.type, 0) + len(block)
+    kinds = {kind for kind, n in counts.items() if n}
+    wrong, solid = kinds - CELLS.keys() - set(SURFACES), kinds & CELLS.keys()
+    if not wrong and len(solid) == 1:
+        return min(solid)
+    found = ", ".join(sorted(kinds)) or "no cells"
+    if kinds and kinds <= {*SURFACES, "quad", "quad8", "quad9"}:
+        remedy = "it is a surface without a volume: fill it with tetrahedra, in Gmsh for instance"
+    elif wrong and solid:
+        first = min(wrong)
+        remedy = f"divide those of type {first} ({counts[first]}) into tetrahedra"
     else:
-        E, nu = (np.full(len(density), value) for value in elastic)
-    _refuse(E <= 0.0, "youngs_modulus_kPa must be above 0", E)
-    _refuse((nu < 0.0) | (nu >= 0.5), "poisson_ratio must be at least 0 and below 0.5", nu)
-    _refuse(density <= 0.0, "density_kg_m3 must be above 0", density)
-    return MeshedBody(
-        points, tetrahedra, is_fixed, displacement, is_sliding, is_pressurised, E, nu, density_kg_mm3(density)
-    )
+        remedy = "make all cells of one type" if solid else "mesh the body with tetrahedra"
+    raise InputError(f"the cells must be tetrahedra of 4 nodes, or of 10; the file has {found}: {remedy}")
+
+
+def _rounding(points: np.ndarray, unit: str) -> list[str]:
+    """Return a note if the file's own number type rounds the coordinates much."""
+    points = np.asarray(points)
+    if points.dtype != np.float32 or not points.size or not np.isfinite(points).all():
+        return []
+    step = float(np.spacing(np.abs(points).max()))
+    if step <= COARSE * float(np.ptp(points.astype(float), axis=0).max()):
+        return []
+    coarse = float(mm_from(np.array(step), unit))
+    return [f"The coordinates are in single precision: this far from the origin they are rounded to {coarse:.2g} mm."]
+
+
+def _marks(mesh: meshio.Mesh, name: str, groups: Groups, names: tuple[str, ...], notes: list[str]) -> np.ndarray:
+    """Return which nodes the case marks by groups, or else the file by point data (n,) bool."""
+    if not names:
+        return _marked(mesh.point_data, name, groups.n_nodes)
+    if name in mesh.point_data:
+        notes.append(f"body.{name} is used instead of the point data `{name}` of the mesh.")
+    return groups.marked(names, f"body.{name}")
+
+
+def _with_middles(solid: TetrahedralMesh, displacement: np.ndarray) -> tuple[TetrahedralMesh, np.ndarray]:
+    """Fix the midside nodes of boundary faces between two fixed corners, and move them (n, 3) [mm] by half of both."""
+    if solid.kind != "tetra10":
+        return solid, displacement
+    rows = middles_between(solid.is_fixed, solid.tetrahedra)
+    middles, *ends = rows[~solid.is_fixed[rows[:, 0]]].T
+    if not middles.size:
+        return solid, displacement
+    is_fixed, displacement = solid.is_fixed.copy(), displacement.copy()
+    is_fixed[middles] = True
+    displacement[middles] = 0.5 * (displacement[ends[0]] + displacement[ends[1]])
+    note = f"{middles.size} midside nodes on the surface lie between two fixed corners and are fixed too."
+    return solid._replace(is_fixed=is_fixed, notes=(*solid.notes, note)), displacement
 
 
 def _marked(point_data: Mapping[str, np.ndarray], name: str, n: int) -> np.ndarray:
     """Return whether the point data ``name`` mark each of n nodes by 1 (n,) bool; all False if the file lacks these data."""
     values = np.asarray(point_data.get(name, np.zeros(n)))
-    if values.size != n or not np.isin(values, (0, 1)).all():
-        raise InputError(f"point data `{name}` must be 0 or 1")
-    return values.reshape(n) == 1
+    if values.size != n:
+        raise InputError(
+            f"point data `{name}` must be one number for each node, 0 or 1; got {values.size // n} for each"
+        )
+    values = values.reshape(n)
+    wrong = np.flatnonzero(~np.isin(values, (0, 1)))
+    if wrong.size:
+        raise InputError(f"point data `{name}` must be 0 or 1; got {values[wrong[0]]:g} at node {wrong[0]}")
+    return values == 1
 
 
-def _displacement(point_data: Mapping[str, np.ndarray], is_fixed: np.ndarray) -> np.ndarray:
-    """Read the prescribed displacement of nodes (n, 3) [mm]."""
-    name = "prescribed_displacement"
-    values = np.asarray(point_data.get(name, np.zeros((len(is_fixed), 3))), float)
+def _displacement(mesh: meshio.Mesh, solid: TetrahedralMesh, by_group: ByGroup) -> np.ndarray:
+    """Return the prescribed displacement of nodes (n, 3) [mm], that of groups or else of the file."""
+    name, is_fixed = "prescribed_displacement", solid.is_fixed
+    if by_group.displacement:
+        return _displacement_of_groups(solid.groups, by_group.displacement)
+    values = np.asarray(mesh.point_data.get(name, np.zeros((len(is_fixed), 3))), float)
     if values.shape != (len(is_fixed), 3):
         raise InputError(f"point data `{name}` must have three components [mm]")
     bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
@@ -186,6 +248,19 @@ def _displacement(point_data: Mapping[str, np.ndarray], is_fixed: np.ndarray) ->
             f"point data `{name}` move {loose.size} nodes that are not fixed, the first is node {loose[0]}: set `fixed` = 1 there"
         )
     return values
+
+
+def _displacement_of_groups(groups: Groups, given: Mapping[str, tuple[float, ...]]) -> np.ndarray:
+    values = np.full((groups.n_nodes, 3), np.nan)
+    for name, vector in given.items():
+        members = groups.marked([name], "body.displacement_mm")
+        other = np.flatnonzero(members & np.isfinite(values[:, 0]) & (values != vector).any(axis=1))
+        if other.size:
+            raise InputError(
+                f'body.displacement_mm: node {other[0]} of "{name}" is in another group, which moves otherwise'
+            )
+        values[members] = vector
+    return np.nan_to_num(values)
 
 
 def _check_faces(name: str, is_marked: np.ndarray, tetrahedra: np.ndarray) -> None:
@@ -201,16 +276,42 @@ def _check_faces(name: str, is_marked: np.ndarray, tetrahedra: np.ndarray) -> No
         )
 
 
-def _cell_data(mesh: meshio.Mesh, name: str, kind: str) -> np.ndarray:
-    if name not in mesh.cell_data:
-        raise InputError(f"cell data `{name}` are missing")
-    blocks = [values for values, block in zip(mesh.cell_data[name], mesh.cells) if block.type == kind]
-    values = np.concatenate([np.asarray(block, float).reshape(len(block), -1)[:, 0] for block in blocks])
-    _refuse(~np.isfinite(values), f"{name} must be a finite number", values)
-    return values
+# ---- wound and body
 
 
-def _refuse(is_wrong: np.ndarray, sentence: str, values: np.ndarray) -> None:
-    wrong = np.flatnonzero(is_wrong)
-    if wrong.size:
-        raise InputError(f"cell data {sentence}; got {values[wrong[0]]:g} at cell {wrong[0]}")
+def _wound(mesh: meshio.Mesh, unit: str, by_group: ByGroup) -> tuple[TetrahedralMesh, np.ndarray]:
+    solid = _tetrahedral_mesh(mesh, unit, by_group)
+    check(solid.points, solid.tetrahedra, solid.is_fixed, np.zeros_like(solid.is_fixed))
+    solid, _ = _with_middles(solid, np.zeros_like(solid.points))
+    if by_group.wound:
+        marked = np.zeros(len(solid.tetrahedra))
+        for name in by_group.wound:
+            marked[solid.groups.members(name, "body.wound")] = 1
+    else:
+        hint = (
+            f'; name the group of the wound, body.wound = "NAME": {solid.groups.hint()}' if solid.groups.hint() else ""
+        )
+        marked = cell_data(mesh, "wound", solid.kind)
+        if marked is None:
+            raise InputError(f"cell data `wound` are missing{hint}")
+    refuse(~np.isin(marked, (0, 1)), "wound must be 0 or 1", marked)
+    if marked.all() or not marked.any():
+        raise InputError("cell data `wound` must be 1 in some tetrahedra, those of the wound, and 0 in others")
+    return solid, marked == 1
+
+
+def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None, by_group: ByGroup) -> MeshedBody:
+    solid = _tetrahedral_mesh(mesh, unit, by_group)
+    notes = list(solid.notes)
+    is_sliding = _marks(mesh, "sliding", solid.groups, by_group.sliding, notes)
+    is_pressurised = _marks(mesh, "pressurised", solid.groups, by_group.pressurised, notes)
+    check(solid.points, solid.tetrahedra, solid.is_fixed, is_sliding)
+    _check_faces("sliding", is_sliding, solid.tetrahedra)
+    _check_faces("pressurised", is_pressurised, solid.tetrahedra)
+    solid, displacement = _with_middles(solid._replace(notes=tuple(notes)), _displacement(mesh, solid, by_group))
+    E, nu, density = tissue_of(mesh, solid.kind, solid.groups, by_group.materials, elastic)
+    return MeshedBody(
+        *(solid.points, solid.tetrahedra, solid.is_fixed, displacement, is_sliding, is_pressurised),
+        *(E, nu, density_kg_mm3(density)),
+        solid.notes,
+    )

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import io
 import re
 from collections.abc import Mapping
-from contextlib import redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -14,7 +12,6 @@ from xml.sax.saxutils import quoteattr
 import meshio
 import numpy as np
 
-from ..core.errors import InputError
 from .atomic import replacing, write_bytes
 
 SERIES = "series.pvd"
@@ -73,21 +70,6 @@ def write_vtu(
     )
     with replacing(path) as temporary:
         mesh.write(temporary, file_format="vtu", binary=True, compression="zlib")
-
-
-def read_mesh(path: Path) -> meshio.Mesh:
-    """Read a mesh with its data from a file in any format that meshio knows.
-
-    Raises
-    ------
-    InputError
-        If the file cannot be read as a mesh.
-    """
-    try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # meshio prints errors and then exits
-            return meshio.read(path)
-    except (Exception, SystemExit) as error:
-        raise InputError(f"{path.name} cannot be read as a mesh: {str(error) or type(error).__name__}") from None
 
 
 def write_series(folder: Path, step_files: list[TimeStepFile]) -> None:

@@ -16,7 +16,18 @@ FACES = np.array(  # outward faces of a tetrahedron: corners, then the midside n
 )
 OPPOSITE = [2, 3, 1, 0]  # indices of the faces opposite to corners 0 to 3
 FLAT = 1e-6  # a tetrahedron is flat if its volume over its longest edge cubed is below this (regular: 0.118)
+FAR = 10.0  # a mesh is far from the origin if its centre is this many times its extent away
 TURNED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]  # node order that reverses the orientation of a tetrahedron
+
+
+def far_origin(points: np.ndarray) -> np.ndarray:
+    """Return a point about which to compute, so that little is lost to rounding: nodes (n, 3) [mm] -> (3,) [mm].
+
+    It is the origin unless the mesh lies more than ten times its extent away; then it is the mesh's centre in whole mm.
+    """
+    low, high = points.min(axis=0), points.max(axis=0)
+    centre = np.round(0.5 * (low + high))
+    return centre if np.linalg.norm(centre) > FAR * (high - low).max() else np.zeros(3)
 
 
 def with_middles(points: np.ndarray, tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -36,6 +47,15 @@ def volumes(points: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
 def boundary(tetrahedra: np.ndarray) -> np.ndarray:
     """Return the nodes of the boundary faces, outward: (m, 4) -> (n_faces, 3), (m, 10) -> (n_faces, 6)."""
     return owned_boundary(tetrahedra)[0]
+
+
+def middles_between(is_marked: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
+    """Return the midside nodes of boundary faces whose edge has two marked ends: (n,) bool, (m, 10) -> (k, 3) int.
+
+    A row is a midside node and the two ends of its edge.
+    """
+    edges = boundary(tetrahedra)[:, [[3, 0, 1], [4, 1, 2], [5, 0, 2]]].reshape(-1, 3)
+    return np.unique(edges[is_marked[edges[:, 1:]].all(axis=1)], axis=0)
 
 
 def owned_boundary(tetrahedra: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -28,12 +28,12 @@ class Entry(NamedTuple):
 KINDS = {
     "lumpectomy": Entry("LumpectomyCase", "LumpectomyRun"),
     "automaton": Entry("AutomatonCase", "AutomatonRun"),
-    "equilibrium": Entry("EquilibriumCase", "EquilibriumRun"),
+    "equilibrium": Entry("EquilibriumCase", "EquilibriumRun", checker="mesh"),
     "material-point": Entry("PointCase", "MaterialPoint"),
     "adhesion": Entry("AdhesionCase", "AdhesionRun"),
     "signalling": Entry("SignallingCase", "SignallingRun", checker="network"),
     "tissue-cell": Entry("TissueCellCase", "TissueCellRun"),
-    "wound": Entry("WoundCase", "WoundRun"),
+    "wound": Entry("WoundCase", "WoundRun", checker="mesh"),
 }
 
 

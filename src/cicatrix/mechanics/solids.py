@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..geometry.tetrahedra import boundary, with_middles
+from ..geometry.tetrahedra import middles_between, with_middles
 from ..materials.neo_hookean import NeoHookean, moduli_from_young
 from .body import Body, Discretization
 from .space import SolidSpace
@@ -77,7 +77,6 @@ def _faces(space: SolidSpace, is_there: np.ndarray | None) -> np.ndarray:
 
 def _with_fixed_middles(is_fixed: np.ndarray, tetrahedra: np.ndarray, n_nodes: int) -> np.ndarray:
     """Constrain the added midpoints between constrained ends on the surface: (n_given,) bool, (m, 10) -> (n_nodes,) bool."""
-    one, other, middle = boundary(tetrahedra)[:, [[0, 1, 3], [1, 2, 4], [0, 2, 5]]].reshape(-1, 3).T
     out = np.concatenate([is_fixed, np.zeros(n_nodes - len(is_fixed), bool)])
-    out[middle[is_fixed[one] & is_fixed[other]]] = True
+    out[middles_between(out, tetrahedra)[:, 0]] = True
     return out

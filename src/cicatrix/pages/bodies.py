@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from ..core.units import weeks_from_days
-from ..files.vtu import TimeStepFile, read_mesh, read_series
+from ..files.mesh_formats import read_mesh
+from ..files.vtu import TimeStepFile, read_series
 from ..geometry.tetrahedra import owned_boundary
 from .cutting import Piece, clipped, face
 from .packing import packed

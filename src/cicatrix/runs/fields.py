@@ -12,7 +12,8 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.optional import optional
-from ..files.vtu import TimeStepFile, read_mesh, read_series
+from ..files.mesh_formats import read_mesh
+from ..files.vtu import TimeStepFile, read_series
 from .scratch import ScratchFolder
 
 

@@ -13,16 +13,15 @@ from ...cases.laws import law_of
 from ...core.errors import InputError
 from ...core.ranks import Ranks
 from ...core.units import seconds_from_hours
-from ...files.meshes import MeshedBody, read_body
-from ...geometry.tetrahedra import EDGES
+from ...files.meshes import MeshedBody
+from ...geometry.tetrahedra import EDGES, far_origin
 from ...materials.neo_hookean import young_from_moduli
 from ...mechanics.body import Body, local_volumes
 from ...mechanics.solids import solid_body
 from ...numerics.petsc import petsc
-from ...runs.quantity import Quantity
 from .case import EquilibriumCase, HistoryTable
-
-LIKELY_MM = (2.0, 1000.0)  # plausible range of the largest extent of a body in surgery
+from .doubts import doubts_of
+from .mesh import given_body
 
 
 def displaced_positions(body: Body, displacement: np.ndarray) -> np.ndarray:
@@ -54,8 +53,7 @@ def given_and_body(case: EquilibriumCase, ranks: Ranks) -> tuple[MeshedBody, Bod
     """Return the mesh of a case, which only the first rank reads from its file, and the body built from it."""
     if on_petsc(case, ranks):
         ranks.agree(lambda: petsc().communicator(ranks))  # if PETSc is missing, fail before reading the mesh
-    mesh = case.body.mesh, case.body.mesh_unit, _elastic(case)
-    given: Any = ranks.share(ranks.agree(lambda: read_body(*mesh) if ranks.is_first else None))
+    given: Any = ranks.share(ranks.agree(lambda: given_body(case, _elastic(case)) if ranks.is_first else None))
     return given, ranks.agree(lambda: _body(case, given, on_petsc(case, ranks)))
 
 
@@ -70,7 +68,7 @@ def _elastic(case: EquilibriumCase) -> tuple[float, float] | None:
 def _body(case: EquilibriumCase, given: MeshedBody, is_shared: bool) -> Body:
     pressure, name = case.loads.pressure_kPa, case.body.mesh.name
     body = solid_body(
-        given.points,
+        given.points - far_origin(given.points),
         given.tetrahedra,
         given.is_fixed,
         given.E,
@@ -89,13 +87,6 @@ def _body(case: EquilibriumCase, given: MeshedBody, is_shared: bool) -> Body:
             f"{name}: {folded.size} tetrahedra are folded by their middle nodes, the first is number {folded[0]}: these must lie "
             "near the middles of the edges"
         )
-    if pressure and body.pressure is None:
-        raise InputError(
-            f"{name}: loads.pressure_kPa = {pressure:g} acts on no face: mark the corners of some boundary faces by point "
-            "data `pressurised` = 1"
-        )
-    if case.solver.inverse and given.displacement.any():
-        raise InputError(f"{name}: point data `prescribed_displacement` must be 0 where solver.inverse = true")
     if is_shared and case.history is not None:
         raise InputError('history is for one process: start it without mpiexec, with solver.linear = "direct"')
     if is_shared and (body.discretization.sliding_nodes.size or body.discretization.skin_facets.size):
@@ -111,14 +102,9 @@ def on_petsc(case: EquilibriumCase, ranks: Ranks) -> bool:
     return ranks.size > 1 or case.solver.linear != "direct"
 
 
-def extent_of(points: np.ndarray) -> Quantity:
-    """Return the largest extent of a body, with a question as its note if it is implausible for a body in surgery."""
-    largest = float(np.ptp(points, axis=0).max())
-    doubt = "" if LIKELY_MM[0] <= largest <= LIKELY_MM[1] else "is body.mesh_unit right?"
-    return Quantity(largest, "mm", doubt)
-
-
-def doubt_of(points: np.ndarray) -> str:
-    """Return a warning if the extent of the mesh is implausible; otherwise an empty text."""
-    extent = extent_of(points)
-    return f"The mesh is {extent.value:g} mm across: {extent.note}" if extent.note else ""
+def notes_of(given: MeshedBody) -> list[str]:
+    """Return what was assumed about a mesh and what is doubted, one sentence each."""
+    origin = far_origin(given.points)
+    at = ", ".join(f"{value:.0f}" for value in origin)
+    moved = f"The mesh is far from the origin and is solved about ({at}) mm; figures show positions from there, files do not."
+    return [*given.notes, *([moved] if origin.any() else []), *doubts_of(given)]

@@ -6,9 +6,10 @@ from pathlib import Path
 from typing import Annotated, ClassVar, Literal
 
 import jax
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from ...cases.bounds import Integer, Number, Times, Vector, bounds, fault
+from ...cases.groups import GroupNames, GroupTissueTable
 from ...cases.laws import AnyGrowth, AnyLaw, checked_law
 from ...cases.table import Case, Table
 from ...materials.material import has_bulk_modulus
@@ -20,11 +21,19 @@ class BodyTable(Table):
     Cell data of the mesh are ``density_kg_m3`` and, without ``[[law]]``, ``youngs_modulus_kPa`` and ``poisson_ratio``.
     Point data are ``fixed`` (0 or 1) and, as needed, ``prescribed_displacement`` (three components [mm], of fixed nodes),
     ``sliding`` (0 or 1: corners of boundary faces that slide without friction along their initial planes) and ``pressurised``
-    (0 or 1: corners of boundary faces that carry ``loads.pressure_kPa``).
+    (0 or 1: corners of boundary faces that carry ``loads.pressure_kPa``). Instead of these data the keys below may name groups
+    of the mesh: physical groups of Gmsh, sets and surfaces of Abaqus, references of Medit, or pieces of a VTU file.
     """
 
-    mesh: Path  # mesh file in any format of meshio, such as VTU
+    mesh: Path  # mesh file: VTU, PVTU, legacy VTK, Gmsh, Abaqus or Medit
     mesh_unit: Literal["mm", "cm", "m"] = "mm"  # unit of the coordinates in the file
+    fixed: GroupNames = ()  # groups of nodes that are fixed
+    sliding: GroupNames = ()  # groups of boundary faces that slide without friction along their initial planes
+    pressurised: GroupNames = ()  # groups of boundary faces that carry loads.pressure_kPa
+    displacement_mm: dict[str, Vector] = Field(
+        default_factory=dict
+    )  # groups whose nodes are fixed after a displacement
+    materials: dict[str, GroupTissueTable] = Field(default_factory=dict)  # tissue of groups of tetrahedra
 
 
 class LoadsTable(Table):

@@ -19,7 +19,7 @@ from ...numerics.newton import NewtonReport
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
 from ...runs.quantity import Quantity
 from ...runs.trees import packed_tree, unpacked_tree
-from .build import displaced_positions, doubt_of, given_and_body, load_steps
+from .build import displaced_positions, given_and_body, load_steps, notes_of
 from .case import EquilibriumCase
 from .figures import history_figure, shape_figure
 
@@ -45,9 +45,9 @@ class HistoryRun(Simulation[HistoryState]):
     def __init__(self, case: EquilibriumCase, context: Context | None = None) -> None:
         super().__init__(case, context)
         self.given, self.body = given_and_body(case, self.context.ranks)
-        if words := doubt_of(self.given.points):
-            self.notes.append(words)
-            self.context.progress.update(1.0, words)
+        self.notes += notes_of(self.given)
+        if self.notes:
+            self.context.progress.update(1.0, " ".join(self.notes))
         self.X = self.body.discretization.space.positions
         on_message = partial(self.context.progress.update, None)
         self.solver = Equilibrium(case.solver.relative_tolerance, on_message)

@@ -21,8 +21,9 @@ from ...numerics.krylov import PetscEngine
 from ...numerics.newton import NewtonReport
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
 from ...runs.quantity import Quantity
-from .build import displaced_positions, doubt_of, extent_of, given_and_body, on_petsc
+from .build import displaced_positions, given_and_body, notes_of, on_petsc
 from .case import EquilibriumCase
+from .doubts import doubts_of, extent_of
 from .figures import shape_figure
 from .history import HistoryRun
 
@@ -48,9 +49,9 @@ class EquilibriumRun(Simulation[EquilibriumState]):
     def __init__(self, case: EquilibriumCase, context: Context | None = None) -> None:
         super().__init__(case, context)
         self.given, self.body = given_and_body(case, self.context.ranks)
-        if words := doubt_of(self.given.points):
-            self.notes.append(words)
-            self.context.progress.update(1.0, words)
+        self.notes += notes_of(self.given)
+        if self.notes:
+            self.context.progress.update(1.0, " ".join(self.notes))
 
     @classmethod
     def of(cls, case: EquilibriumCase) -> type[Simulation]:
@@ -68,11 +69,11 @@ class EquilibriumRun(Simulation[EquilibriumState]):
         try:
             state = self._solved()
         except NoEquilibriumError as error:
-            words = [str(error), doubt_of(self.given.points)]
+            words = [str(error), *doubts_of(self.given)]
             if error.share > 0.0:  # recorded by the driver, although the integration ends here
                 yield EquilibriumState(error.positions, NewtonReport(), 0, error.share)
                 words.append(f"The last stable shape, under {percent(error.share)} of the load, is in fields.")
-            raise ConvergenceError(" ".join(word for word in words if word), error.history) from error
+            raise ConvergenceError(" ".join(words), error.history) from error
         self.notes += [*_how(self.case, self.context.ranks), *state.report.history]
         yield state
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +12,7 @@ import skfem
 from ...geometry.bcc import bcc_lattice
 from ...geometry.meshing import INSIDE
 from ...geometry.solid import Solid, fitted, remesh, split
-from ...geometry.tetrahedra import boundary, used_only, with_middles
+from ...geometry.tetrahedra import boundary, far_origin, used_only, with_middles
 from ...materials.neo_hookean import NeoHookean
 from ...mechanics.body import Body, Discretization, measures
 from ...mechanics.solids import solid_space
@@ -83,6 +83,8 @@ class WoundBody:
     """Points along the edge of the wound."""
     size: Callable[[np.ndarray], float]
     """Area or volume of the material that formed the initial wound, at positions (n_nodes, 3) [mm]."""
+    origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    """Point of the given mesh about which the positions are (3,) [mm]."""
 
     @property
     def middle_mm(self) -> float:
@@ -169,13 +171,14 @@ def meshed_wound(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarra
     points (n, 3) [mm], tetrahedra (m, 4) or (m, 10), is_fixed (n,) bool, is_wound (m,) bool. At the vertices between wound and
     healthy tissue the fraction of healthy tissue is one half.
     """
-    space, fixed_nodes = solid_space(points, tetrahedra, is_fixed)
+    origin = far_origin(points)
+    space, fixed_nodes = solid_space(points - origin, tetrahedra, is_fixed)
     corners = np.unique(space.corners)
     touched, beyond = np.isin(corners, space.corners[is_wound]), np.isin(corners, space.corners[~is_wound])
     at_points = np.broadcast_to(np.where(is_wound, 0.0, 1.0)[:, None], (len(is_wound), space.table.weight.size))
     healthy = Healthy(np.where(touched, np.where(beyond, 0.5, 0.0), 1.0), at_points)
     centre = space.positions[space.corners[is_wound]].mean(axis=(0, 1))
-    return _solid_with_wound(space, fixed_nodes, is_wound, healthy, centre)
+    return replace(_solid_with_wound(space, fixed_nodes, is_wound, healthy, centre), origin=origin)
 
 
 def _solid_with_wound(

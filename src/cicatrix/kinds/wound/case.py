@@ -16,6 +16,7 @@ from ...cases.continuum import (
     TimeTolerance,
     check_continuum,
 )
+from ...cases.groups import GroupNames
 from ...cases.table import Case, Table
 
 
@@ -30,10 +31,12 @@ class WoundSolverTable(Table):
 
 
 class WoundBodyTable(Table):
-    """A mesh of tetrahedra, with point data ``fixed`` and cell data ``wound``, both 0 or 1."""
+    """A mesh of tetrahedra, with point data ``fixed`` and cell data ``wound``, both 0 or 1, or with groups that the keys name."""
 
-    mesh: Path  # mesh file in any format of meshio, such as VTU
+    mesh: Path  # mesh file: VTU, PVTU, legacy VTK, Gmsh, Abaqus or Medit
     mesh_unit: Literal["mm", "cm", "m"] = "mm"  # unit of the coordinates in the file
+    fixed: GroupNames = ()  # groups of nodes that are fixed, instead of the point data
+    wound: GroupNames = ()  # groups of tetrahedra that form the wound, instead of the cell data
 
 
 class WoundCase(Case):

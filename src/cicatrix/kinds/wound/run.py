@@ -11,7 +11,6 @@ import numpy as np
 from ...cases.continuum_laws import network_of
 from ...core.units import days_from_hours, hours_from_seconds, seconds_from_hours
 from ...files.figures_continuum import fields_figure
-from ...files.meshes import read_wound
 from ...healing.continuum import IntegratorState, integrator_arrays, integrator_from, integrator_scalars
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
 from ...runs.quantity import Quantity
@@ -19,6 +18,7 @@ from .body import WoundBody, meshed_wound
 from .build import model_of, numbers_of
 from .case import WoundCase
 from .figures import BREAST, SHEET, course_figure
+from .mesh import given_wound
 
 STEPS_PER_MARK = 10  # steps after which the solver's matrices are dropped; then later steps depend on the state alone
 
@@ -44,9 +44,10 @@ class WoundRun(Simulation[WoundStep]):
 
     def __init__(self, case: WoundCase, context: Context | None = None) -> None:
         super().__init__(case, context)
-        self.model = model_of(case, network_of(case.mechanosensing), body_of(case))
+        body, notes = body_of(case)
+        self.model = model_of(case, network_of(case.mechanosensing), body)
         self.solver = self.model.solver
-        self.notes = list(self.model.notes)
+        self.notes = [*notes, *self.model.notes]
         self.end = seconds_from_hours(case.hours)
         self.ratio = "ring_area_ratio" if case.is_sheet else "cavity_volume_ratio"
 
@@ -123,7 +124,7 @@ class WoundRun(Simulation[WoundStep]):
         points |= {"cells": state.fields[:, 0], "cytokine": state.fields[:, 1], "displacement": x - X}
         cells = transport.element_vertices if space.n_axes == 3 else _triangles(transport.element_vertices)
         time_days = days_from_hours(hours_from_seconds(integration.time))
-        return Fields("wound", number, time_days, X, cells, points)
+        return Fields("wound", number, time_days, X + self.model.body.origin, cells, points)
 
     def pack(self, state: WoundStep) -> Packed:
         """Return the state as arrays and numbers for a checkpoint: all values on which the next step depends."""
@@ -188,12 +189,12 @@ class WoundRun(Simulation[WoundStep]):
         )
 
 
-def body_of(case: WoundCase) -> WoundBody | None:
-    """Read the body whose mesh the case names; None if it names none."""
+def body_of(case: WoundCase) -> tuple[WoundBody | None, list[str]]:
+    """Read the body whose mesh the case names (None if it names none); return it with notes on what was assumed."""
     if case.body is None:
-        return None
-    solid, is_wound = read_wound(case.body.mesh, case.body.mesh_unit)
-    return meshed_wound(solid.points, solid.tetrahedra, solid.is_fixed, is_wound)
+        return None, []
+    solid, is_wound = given_wound(case.body)
+    return meshed_wound(solid.points, solid.tetrahedra, solid.is_fixed, is_wound), list(solid.notes)
 
 
 def _triangles(squares: np.ndarray) -> np.ndarray:
