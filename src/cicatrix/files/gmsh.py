@@ -49,21 +49,19 @@ def gmsh_mesh(content: bytes) -> meshio.Mesh:
     Raises
     ------
     InputError
-        If the content is damaged, or has something that is not read; the message is about the file, without its name.
+        If the file has something that is not read; the message is about the file, without its name.
+    ValueError, LookupError
+        If the content is damaged.
     """
-    found = _Found()
-    try:
-        sections = sections_of(content)
-        version, is_binary, size = format_of(sections)
-        for line in section_text(sections, "PhysicalNames").splitlines()[1:]:
-            match = re.match(r'\s*(\d)\s+(\d+)\s+"?(.*?)"?\s*$', line)
-            if match:
-                found.names[int(match[1]), int(match[2])] = match[3]
-        read = _read_2 if version.startswith("2") else _read_4
-        read(sections, is_binary, size, found)
-        return _mesh(found, sections, is_binary)
-    except (ValueError, KeyError, OverflowError, IndexError) as error:
-        raise InputError(f"its content is damaged: {error}") from None
+    found, sections = _Found(), sections_of(content)
+    version, is_binary, size = format_of(sections)
+    for line in section_text(sections, "PhysicalNames").splitlines()[1:]:
+        match = re.match(r'\s*(\d)\s+(\d+)\s+"?(.*?)"?\s*$', line)
+        if match:
+            found.names[int(match[1]), int(match[2])] = match[3]
+    read = _read_2 if version.startswith("2") else _read_4
+    read(sections, is_binary, size, found)
+    return _mesh(found, sections, is_binary)
 
 
 @dataclass
@@ -91,12 +89,8 @@ class _Found:
 
 
 def _read_2(sections: dict[str, list[bytes]], is_binary: bool, _: str, found: _Found) -> None:
-    n, numbers = counted(sections["Nodes"][0], is_binary)
-    if is_binary:
-        found.tags, found.points = numbered_rows(sections["Nodes"][0].partition(b"\n")[2], n, 3)
-    else:
-        table = numbers.take(REAL, 4 * n).reshape(n, 4)
-        found.tags, found.points = table[:, 0].astype(int), table[:, 1:]
+    count, _, rest = sections["Nodes"][0].partition(b"\n")
+    found.tags, found.points = numbered_rows(rest, int(count), 3, is_binary)
     n, numbers = counted(sections["Elements"][0], is_binary)
     elements = _binary_2(n, numbers) if is_binary else _text_2(n, numbers)
     by_kind: dict[int, list[np.ndarray]] = defaultdict(list)
@@ -126,6 +120,8 @@ def _text_2(n: int, numbers: Numbers) -> Iterator[tuple[int, np.ndarray]]:
         if at + 3 > len(values):
             raise ValueError(f"{n} elements are missing")
         kind, n_tags = int(values[at + 1]), int(values[at + 2])
+        if n_tags < 0:
+            raise ValueError(f"an element has {n_tags} tags")
         width = 3 + n_tags + _cell(kind)[2]
         rows = values[at : at + len(values[at:]) // width * width].reshape(-1, width)[: min(n, window)]
         same = (rows[:, 1] == kind) & (rows[:, 2] == n_tags)

@@ -13,6 +13,7 @@ import numpy as np
 from ..core.errors import InputError
 
 INT, REAL = "i4", "f8"
+LARGEST = 2.0**52  # whole numbers up to here are exact in a text that is read as real numbers
 
 
 def sections_of(content: bytes) -> dict[str, list[bytes]]:
@@ -58,12 +59,14 @@ class Numbers:
 
     def __init__(self, content: bytes, is_binary: bool) -> None:
         self._bytes = content if is_binary else None
-        self._values = np.zeros(0) if is_binary else np.array(_bare(content).split() or [b"0"]).astype(float)
+        self._values = np.zeros(0) if is_binary else np.array(_bare(content).split(), float)
         self._at = 0
 
     def take(self, kind: str, n: int) -> np.ndarray:
         """Return the next n numbers of a type, as integers or floats."""
         kinds = np.dtype(kind)
+        if n < 0:
+            raise ValueError(f"a section counts {n} numbers")
         if self._bytes is None:
             out = self._values[self._at : self._at + n]
             self._at += n
@@ -72,7 +75,7 @@ class Numbers:
             self._at += n * kinds.itemsize
         if len(out) < n:
             raise ValueError(f"a section ends after {len(out)} of {n} numbers")
-        return out.astype(float if kinds.kind == "f" else int)
+        return out.astype(float) if kinds.kind == "f" else _whole(out)
 
     def one(self, kind: str) -> int:
         """Return the next number, an integer."""
@@ -90,13 +93,23 @@ def counted(content: bytes, is_binary: bool) -> tuple[int, Numbers]:
     return int(line), Numbers(rest, is_binary)
 
 
-def numbered_rows(content: bytes, n: int, width: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return numbers (n,) of nodes or elements, and values (n, width), of binary rows that hold both."""
+def numbered_rows(content: bytes, n: int, width: int, is_binary: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Return numbers (n,) of nodes or elements, and values (n, width), of rows that hold both."""
+    if not is_binary:
+        table = Numbers(content, False).take(REAL, n * (1 + width)).reshape(n, 1 + width)
+        return _whole(table[:, 0]), table[:, 1:]
     kind = np.dtype([("tag", "<i4"), ("value", "<f8", (width,))])
-    if len(content) < n * kind.itemsize:
+    if n < 0 or len(content) < n * kind.itemsize:
         raise ValueError(f"a section ends before its {n} rows")
     rows = np.frombuffer(content[: n * kind.itemsize], kind)
     return rows["tag"].astype(int), rows["value"].copy()
+
+
+def _whole(values: np.ndarray) -> np.ndarray:
+    """Return numbers as integers."""
+    if not (np.abs(values) < LARGEST).all():
+        raise ValueError("a section has a number that is no whole number of a node or an element")
+    return values.astype(int)
 
 
 class Index:
@@ -149,8 +162,7 @@ def _view(content: bytes, is_binary: bool) -> tuple[str, np.ndarray, np.ndarray]
     """Return name, numbers of nodes or elements, and values (n, components) of a section of data."""
     (texts, _, whole), rest = _head(content)
     _, width, n = (int(number) for number in whole[:3])
+    if not 1 <= width <= 9:
+        raise ValueError(f"data have {width} components; 1, 3 or 9 are read")
     name = texts[0].decode("utf-8", "replace").strip('"') if texts else ""
-    if is_binary:
-        return name, *numbered_rows(rest, n, width)
-    table = Numbers(rest, False).take(REAL, n * (1 + width)).reshape(n, 1 + width)
-    return name, table[:, 0].astype(int), table[:, 1:]
+    return name, *numbered_rows(rest, n, width, is_binary)

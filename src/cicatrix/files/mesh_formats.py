@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
@@ -45,6 +46,8 @@ def read_mesh(path: Path) -> meshio.Mesh:
         return _read(path, head)
     except InputError as error:
         raise InputError(f"{path.name} cannot be read as a mesh: {error}") from None
+    except (ValueError, LookupError, ArithmeticError, MemoryError, RecursionError) as error:
+        raise InputError(f"{path.name} cannot be read as a mesh: its content is damaged, {error}") from None
 
 
 def _read(path: Path, head: bytes) -> meshio.Mesh:
@@ -66,8 +69,8 @@ def _by_meshio(path: Path, form: str | None) -> meshio.Mesh:
     if form is None and path.suffix.lower() not in meshio.extension_to_filetypes:
         raise InputError(f"its content is no format that is known; read are {READ}")
     try:
-        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()):  # meshio prints errors and then exits
-            mesh = meshio.read(path, form)
+        with redirect_stdout(io.StringIO()), redirect_stderr(io.StringIO()), warnings.catch_warnings(action="ignore"):
+            mesh = meshio.read(path, form)  # it prints errors and then exits, and tries formats until one does not fail
     except ModuleNotFoundError as error:
         raise InputError(_package(path, error.name or "")) from None
     except (Exception, SystemExit) as error:

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.units import density_kg_m3, density_kg_mm3, mm_from
-from ..geometry.tetrahedra import boundary, check, middles_between, unmirrored
+from ..geometry.tetrahedra import boundary, check, check_coordinates, middles_between, unmirrored
 from .mesh_formats import read_mesh
 from .mesh_groups import Groups, groups_of
 from .mesh_tissue import Tissue, cell_data, refuse, tissue_of
@@ -151,7 +151,12 @@ def _tetrahedral_mesh(mesh: meshio.Mesh, unit: str, by_group: ByGroup) -> Tetrah
     points = mm_from(np.asarray(mesh.points, float), unit)
     if points.shape[1:] != (3,):
         raise InputError("the nodes must have three coordinates")
-    tetrahedra = unmirrored(points, np.vstack([block.data for block in mesh.cells if block.type == kind]).astype(int))
+    check_coordinates(points)
+    tetrahedra = np.vstack([block.data for block in mesh.cells if block.type == kind]).astype(int)
+    wrong = tetrahedra[(tetrahedra < 0) | (tetrahedra >= len(points))]
+    if wrong.size:
+        raise InputError(f"a tetrahedron names node {wrong[0]}, but the nodes are 0 to {len(points) - 1}")
+    tetrahedra = unmirrored(points, tetrahedra)
     groups, notes = groups_of(mesh, kind), [*mesh.info, *_rounding(mesh.points, unit)]
     is_moved = groups.marked(by_group.displacement, "body.displacement_mm")
     is_fixed = is_moved | _marks(mesh, "fixed", groups, by_group.fixed, notes)

@@ -33,6 +33,7 @@ TYPES = {
     **{"Float32": "f4", "Float64": "f8"},
 }
 COMPRESSORS = {"vtkZLibDataCompressor": zlib.decompressobj, "vtkLZMADataCompressor": lzma.LZMADecompressor}
+MOST_NODES, MOST_COMPONENTS = 27, 16  # of a cell, of a value
 GHOST = "vtkGhostType"  # cell data whose first bit marks a copy of a cell that belongs to another piece
 
 
@@ -196,9 +197,9 @@ class _File:
         """Yield the pieces of the grid."""
         for piece in self.root.iter("Piece"):
             n_points, n_cells = (_count(piece.get(f"NumberOf{what}", "")) for what in ("Points", "Cells"))
-            cells = self._arrays(piece, "Cells", None)
+            cells = self._arrays(piece, "Cells", None, MOST_NODES * n_cells)
             missing = {"connectivity", "offsets", "types"} - cells.keys()
-            points = list(self._arrays(piece, "Points", n_points).values())
+            points = list(self._arrays(piece, "Points", n_points, 3 * n_points).values())
             if missing or not points:
                 raise InputError(f"a piece lacks {', '.join(sorted(missing)) or 'points'}")
             nodes, ends, types = (cells[name].ravel() for name in ("connectivity", "offsets", "types"))
@@ -209,46 +210,46 @@ class _File:
             yield Piece(
                 points[0].reshape(n_points, -1),
                 *(nodes.astype(int), ends.astype(int), types.astype(int)),
-                self._arrays(piece, "PointData", n_points),
-                self._arrays(piece, "CellData", n_cells),
+                self._arrays(piece, "PointData", n_points, MOST_COMPONENTS * n_points),
+                self._arrays(piece, "CellData", n_cells, MOST_COMPONENTS * n_cells),
             )
 
-    def _arrays(self, piece: ElementTree.Element, part: str, n: int | None) -> dict[str, np.ndarray]:
-        """Return the arrays of a part of a piece by name; those of texts are left out."""
+    def _arrays(self, piece: ElementTree.Element, part: str, n: int | None, most: int) -> dict[str, np.ndarray]:
+        """Return the arrays of a part of a piece by name, of ``most`` numbers each; those of texts are left out."""
         found = [
             array for place in piece.findall(part) for array in place.findall("DataArray") if array.get("type") in TYPES
         ]
-        return {array.get("Name", ""): self._array(array, n) for array in found}
+        return {array.get("Name", ""): self._array(array, n, most) for array in found}
 
-    def _array(self, element: ElementTree.Element, n: int | None) -> np.ndarray:
+    def _array(self, element: ElementTree.Element, n: int | None, most: int) -> np.ndarray:
         """Return an array (n,) or (n, components); without ``n`` it has as many rows as the file gives."""
         name = element.get("Name", "")
         try:
-            values = self._values(element)
-        except (ValueError, binascii.Error, zlib.error, lzma.LZMAError, EOFError) as error:
+            values = self._values(element, most)
+        except (ValueError, OverflowError, zlib.error, lzma.LZMAError, EOFError) as error:
             raise InputError(f"its array `{name}` is damaged: {error}") from None
         width = _count(element.get("NumberOfComponents") or "1") or 1
         if n is not None and values.size != n * width:
             raise InputError(f"its array `{name}` should have {n} x {width} values, but has {values.size}")
         return values.reshape(-1, width) if width > 1 else values
 
-    def _values(self, element: ElementTree.Element) -> np.ndarray:
+    def _values(self, element: ElementTree.Element, most: int) -> np.ndarray:
         kind = np.dtype(TYPES[element.get("type", "")])
         form = element.get("format", "ascii")
         if form == "ascii":
-            return np.array((element.text or "").split()).astype(kind) if element.text else np.zeros(0, kind)
+            return np.array((element.text or "").split(), kind)
         if form == "binary":
             stream = _Stream("".join((element.text or "").split()).encode(), 0, "base64")
         else:
             stream = _Stream(self.blob, _count(element.get("offset", "")), self.encoding)
-        return np.frombuffer(self._unpacked(stream), kind.newbyteorder(self._order)).astype(kind)
+        return np.frombuffer(self._unpacked(stream, most * kind.itemsize), kind.newbyteorder(self._order)).astype(kind)
 
     @property
     def _order(self) -> str:
         return ">" if self.root.get("byte_order") == "BigEndian" else "<"
 
-    def _unpacked(self, stream: _Stream) -> bytes:
-        """Return the bytes of an array: after its length, or in compressed blocks after their sizes."""
+    def _unpacked(self, stream: _Stream, most: int) -> bytes:
+        """Return the bytes of an array: after its length, or in compressed blocks after their sizes; ``most`` bytes at most."""
         header = np.dtype(TYPES.get(self.root.get("header_type", "UInt32"), "u4")).newbyteorder(self._order)
 
         def sizes(n: int) -> list[int]:
@@ -261,6 +262,8 @@ class _File:
         if name not in COMPRESSORS:
             raise InputError(f"its data are compressed by {name}; save it with zlib or without compression")
         _, block, last, *packed = sizes(3 + n) if n else (0, 0, 0)
+        if n and (n - 1) * block + (last or block) > most:
+            raise ValueError(f"it unpacks to more than the {most} bytes that it can have")
         at, end, out = header.itemsize * (3 + n), header.itemsize * (3 + n) + sum(packed), []
         data = stream.first(end) if n else b""
         for number, size in enumerate(packed, 1):

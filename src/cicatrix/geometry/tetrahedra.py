@@ -16,6 +16,7 @@ FACES = np.array(  # outward faces of a tetrahedron: corners, then the midside n
 )
 OPPOSITE = [2, 3, 1, 0]  # indices of the faces opposite to corners 0 to 3
 FLAT = 1e-6  # a tetrahedron is flat if its volume over its longest edge cubed is below this (regular: 0.118)
+LARGEST_MM = 1e12  # coordinates above this are refused
 FAR = 10.0  # a mesh is far from the origin if its centre is this many times its extent away
 TURNED = [0, 2, 1, 3, 6, 5, 4, 7, 9, 8]  # node order that reverses the orientation of a tetrahedron
 
@@ -52,9 +53,10 @@ def boundary(tetrahedra: np.ndarray) -> np.ndarray:
 def middles_between(is_marked: np.ndarray, tetrahedra: np.ndarray) -> np.ndarray:
     """Return the midside nodes of boundary faces whose edge has two marked ends: (n,) bool, (m, 10) -> (k, 3) int.
 
-    A row is a midside node and the two ends of its edge.
+    A row is a midside node and the two ends of its edge, in ascending order.
     """
     edges = boundary(tetrahedra)[:, [[3, 0, 1], [4, 1, 2], [5, 0, 2]]].reshape(-1, 3)
+    edges[:, 1:] = np.sort(edges[:, 1:], axis=1)
     return np.unique(edges[is_marked[edges[:, 1:]].all(axis=1)], axis=0)
 
 
@@ -114,7 +116,7 @@ def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_s
     Parameters
     ----------
     points : (n, 3) array [mm]
-        Nodes.
+        Nodes, which meet :func:`check_coordinates`.
     tetrahedra : (m, 4) or (m, 10) int array
         Corners, then midside nodes, oriented.
     is_fixed : (n,) bool array
@@ -135,10 +137,25 @@ def check(points: np.ndarray, tetrahedra: np.ndarray, is_fixed: np.ndarray, is_s
     _check_supports(points, tetrahedra, is_fixed, is_sliding)
 
 
-def _check_numbers(points: np.ndarray, tetrahedra: np.ndarray) -> None:
+def check_coordinates(points: np.ndarray) -> None:
+    """Check that coordinates (n, 3) [mm] are numbers, and none so large that volumes overflow.
+
+    Raises
+    ------
+    InputError
+        If one is not.
+    """
     bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if bad.size:
         raise InputError(f"node {bad[0]} has a coordinate that is not a number; all must be finite")
+    huge = np.flatnonzero((np.abs(points) > LARGEST_MM).any(axis=1))
+    if huge.size:
+        raise InputError(
+            f"node {huge[0]} has a coordinate of {np.abs(points[huge[0]]).max():.3g} mm: is the unit right?"
+        )
+
+
+def _check_numbers(points: np.ndarray, tetrahedra: np.ndarray) -> None:
     unused = np.setdiff1d(np.arange(len(points)), tetrahedra)
     if unused.size:
         raise InputError(
@@ -157,7 +174,7 @@ def _check_numbers(points: np.ndarray, tetrahedra: np.ndarray) -> None:
 def _check_shapes(points: np.ndarray, tetrahedra: np.ndarray) -> None:
     corners = points[tetrahedra[:, :4]]
     longest = np.linalg.norm(corners[:, [i for i, _ in EDGES]] - corners[:, [j for _, j in EDGES]], axis=2).max(axis=1)
-    quality = volumes(points, tetrahedra) / longest**3
+    quality = volumes(points, tetrahedra) / np.maximum(longest, 1e-30) ** 3
     bad = np.flatnonzero(quality < FLAT)
     if bad.size:
         raise InputError(
