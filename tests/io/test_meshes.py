@@ -226,6 +226,40 @@ def gmsh_4():
     )
 
 
+def gmsh_4_binary():
+    """Return the same as bytes."""
+
+    def packed(*numbers):
+        """Pack whole numbers with ``i`` as int, ``z`` as size, ``d`` as double: ("iz", 1, 2)."""
+        return b"".join(struct.pack("<" + form.replace("z", "Q"), *values) for form, *values in numbers)
+
+    entities = packed(("4z", 1, 0, 1, 1), ("i3dz", 9, 0, 0, 0, 0), ("i6dziz", 5, 0, 0, 0, 1, 1, 1, 1, 7, 0))
+    entities += packed(("i6dz2iz2i", 6, 0, 0, 0, 1, 1, 1, 2, 2, 3, 2, -5, 4))
+    n = len(CHEST) + len(CELLS)
+    nodes = packed(("4z", 1, len(POINTS), 1, len(POINTS)), ("3iz", 3, 6, 0, len(POINTS)))
+    nodes += np.arange(1, len(POINTS) + 1, dtype="<u8").tobytes() + POINTS.tobytes()
+    elements = packed(("4z", 2, n, 1, n))
+    for head, cells, first in (((2, 5, 2), CHEST, 1), ((3, 6, 4), CELLS, 1 + len(CHEST))):
+        rows = np.column_stack([first + np.arange(len(cells)), cells + 1]).astype("<u8")
+        elements += packed(("3iz", *head, len(cells))) + rows.tobytes()
+    sections = {"Entities": entities, "Nodes": nodes, "Elements": elements}
+    head = b'$MeshFormat\n4.1 1 8\n\1\0\0\0\n$EndMeshFormat\n$PhysicalNames\n1\n2 7 "CHEST"\n$EndPhysicalNames\n'
+    return head + b"".join(f"${name}\n".encode() + body + f"\n$End{name}\n".encode() for name, body in sections.items())
+
+
+def test_groups_of_binary_files_of_gmsh(tmp_path):
+    blocks = {"gmsh:physical": [np.full(len(CHEST), 7), np.full(len(CELLS), 2)]}
+    blocks["gmsh:geometrical"] = [np.ones(len(CHEST), int), np.ones(len(CELLS), int)]
+    names = {"CHEST": np.array([7, 2]), "FAT": np.array([2, 3])}
+    mesh = meshio.Mesh(POINTS, [("triangle", CHEST), ("tetra", CELLS)], cell_data=blocks, field_data=names)
+    mesh.write(tmp_path / "2.msh", file_format="gmsh22", binary=True)
+    (tmp_path / "4.msh").write_bytes(gmsh_4_binary())
+    for name, fat in (("2.msh", "FAT"), ("4.msh", "volume 3")):
+        body = read_body(tmp_path / name, "mm", None, ByGroup(fixed=("CHEST",), materials={fat: FAT["FAT"]}))
+        np.testing.assert_array_equal(body.is_fixed, FIXED == 1)
+        np.testing.assert_array_equal(body.points[body.tetrahedra], POINTS[CELLS])
+
+
 def abaqus(kind="C3D4"):
     """Return the bar as Abaqus/CAE and Gmsh write it, with sets by number, by span and by name."""
     rows = [f"{k}, {x}, {y}, {z}" for k, (x, y, z) in enumerate(POINTS, 101)]

@@ -89,7 +89,7 @@ class _Found:
 
 
 def _read_2(sections: dict[str, list[bytes]], is_binary: bool, _: str, found: _Found) -> None:
-    count, _, rest = sections["Nodes"][0].partition(b"\n")
+    count, _line, rest = sections["Nodes"][0].partition(b"\n")
     found.tags, found.points = numbered_rows(rest, int(count), 3, is_binary)
     n, numbers = counted(sections["Elements"][0], is_binary)
     elements = _binary_2(n, numbers) if is_binary else _text_2(n, numbers)

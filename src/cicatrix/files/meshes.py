@@ -157,7 +157,7 @@ def _tetrahedral_mesh(mesh: meshio.Mesh, unit: str, by_group: ByGroup) -> Tetrah
     if wrong.size:
         raise InputError(f"a tetrahedron names node {wrong[0]}, but the nodes are 0 to {len(points) - 1}")
     tetrahedra = unmirrored(points, tetrahedra)
-    groups, notes = groups_of(mesh, kind), [*mesh.info, *_rounding(mesh.points, unit)]
+    groups, notes = groups_of(mesh, kind), [*(mesh.info or ()), *_rounding(mesh.points, unit)]
     is_moved = groups.marked(by_group.displacement, "body.displacement_mm")
     is_fixed = is_moved | _marks(mesh, "fixed", groups, by_group.fixed, notes)
     if "fixed" not in mesh.point_data and not by_group.fixed and not by_group.displacement:
