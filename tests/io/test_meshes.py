@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import InputError
+from cicatrix.files.mesh_doubts import doubts_of
 from cicatrix.files.mesh_formats import read_mesh
 from cicatrix.files.mesh_tissue import Tissue
 from cicatrix.files.meshes import ByGroup, read_body, read_wound
 from cicatrix.geometry.tetrahedra import boundary, far_origin, oriented, with_middles
-from cicatrix.kinds.equilibrium.doubts import doubts_of
 
 TISSUE = {"youngs_modulus_kPa": 10.0, "poisson_ratio": 0.45, "density_kg_m3": 1000.0}
 FAT = {"FAT": Tissue(10.0, 0.45, 1000.0)}
@@ -408,6 +408,10 @@ def test_references_of_medit(tmp_path):
         ),
         (ByGroup(fixed=("CHEST",), materials={"FAT": Tissue(1.0, None, 1e3)}), "`poisson_ratio` are missing: give nu"),
         (ByGroup(fixed=("CHEST",), materials={"CHEST": FAT["FAT"]}), '"CHEST", a group without tetrahedra; .*"FAT"'),
+        (
+            ByGroup(fixed=("CHEST",), pressurised=("INNER",), materials=FAT),
+            "body.pressurised names .INNER., but the file has no such group",
+        ),
         (ByGroup(fixed=("CHEST",), sliding=("FTA",), materials=FAT), 'body.sliding names "FTA", .*did you mean "FAT"'),
         (
             ByGroup(displacement={"FAT": (1.0, 0.0, 0.0), "CHEST": (0.0, 0.0, 0.0)}, materials=FAT),
@@ -464,10 +468,14 @@ def test_middles_between_fixed_corners_are_fixed(tmp_path):
     body = read_body(tmp_path / "a.vtu", "mm")
     np.testing.assert_array_equal(body.is_fixed, fixed == 1)
     held = fixed == 1
-    np.testing.assert_allclose(
-        body.displacement[held], (points @ np.array([[0.0, 0, 0], [0.2, 0, 0], [0, 0, 0.1]]))[held]
-    )
+    expected = (points @ np.array([[0.0, 0, 0], [0.2, 0, 0], [0, 0, 0.1]]))[held]
+    np.testing.assert_allclose(body.displacement[held], expected)
     assert body.notes == ("5 midside nodes on the surface lie between two fixed corners and are fixed too.",)
+    mesh.point_data["fixed"] = fixed
+    mesh.write(tmp_path / "a.vtu")
+    body = read_body(tmp_path / "a.vtu", "mm")
+    np.testing.assert_allclose(body.displacement[held], expected)
+    assert body.notes == ("5 fixed midside nodes without a displacement move with the corners beside them.",)
 
 
 def test_a_mesh_far_away():

@@ -12,9 +12,10 @@ import numpy as np
 
 from ..core.errors import InputError
 from ..core.units import density_kg_m3, density_kg_mm3, mm_from
-from ..geometry.tetrahedra import boundary, check, check_coordinates, middles_between, unmirrored
+from ..geometry.tetrahedra import check, check_coordinates, unmirrored
 from .mesh_formats import read_mesh
 from .mesh_groups import Groups, groups_of
+from .mesh_supports import check_faces, displacement_of, followed, marks
 from .mesh_tissue import Tissue, cell_data, refuse, tissue_of
 from .vtu import write_vtu
 
@@ -159,8 +160,8 @@ def _tetrahedral_mesh(mesh: meshio.Mesh, unit: str, by_group: ByGroup) -> Tetrah
     tetrahedra = unmirrored(points, tetrahedra)
     groups, notes = groups_of(mesh, kind), [*(mesh.info or ()), *_rounding(mesh.points, unit)]
     is_moved = groups.marked(by_group.displacement, "body.displacement_mm")
-    is_fixed = is_moved | _marks(mesh, "fixed", groups, by_group.fixed, notes)
-    if "fixed" not in mesh.point_data and not by_group.fixed and not by_group.displacement:
+    is_fixed = is_moved | marks(mesh, "fixed", groups, by_group.fixed, notes)
+    if "fixed" not in mesh.point_data and not (by_group.fixed or by_group.displacement or by_group.sliding):
         hint = f'; name the group of fixed nodes, body.fixed = "NAME": {groups.hint()}' if groups.hint() else ""
         raise InputError(f"point data `fixed` (1 where a node is fixed, else 0) are missing{hint}")
     return TetrahedralMesh(points, tetrahedra, is_fixed, kind, groups, tuple(notes))
@@ -198,96 +199,14 @@ def _rounding(points: np.ndarray, unit: str) -> list[str]:
     return [f"The coordinates are in single precision: this far from the origin they are rounded to {coarse:.2g} mm."]
 
 
-def _marks(mesh: meshio.Mesh, name: str, groups: Groups, names: tuple[str, ...], notes: list[str]) -> np.ndarray:
-    """Return which nodes the case marks by groups, or else the file by point data (n,) bool."""
-    if not names:
-        return _marked(mesh.point_data, name, groups.n_nodes)
-    if name in mesh.point_data:
-        notes.append(f"body.{name} is used instead of the point data `{name}` of the mesh.")
-    return groups.marked(names, f"body.{name}")
-
-
-def _with_middles(solid: TetrahedralMesh, displacement: np.ndarray) -> tuple[TetrahedralMesh, np.ndarray]:
-    """Fix the midside nodes of boundary faces between two fixed corners, and move them (n, 3) [mm] by half of both."""
-    if solid.kind != "tetra10":
-        return solid, displacement
-    rows = middles_between(solid.is_fixed, solid.tetrahedra)
-    middles, *ends = rows[~solid.is_fixed[rows[:, 0]]].T
-    if not middles.size:
-        return solid, displacement
-    is_fixed, displacement = solid.is_fixed.copy(), displacement.copy()
-    is_fixed[middles] = True
-    displacement[middles] = 0.5 * (displacement[ends[0]] + displacement[ends[1]])
-    note = f"{middles.size} midside nodes on the surface lie between two fixed corners and are fixed too."
-    return solid._replace(is_fixed=is_fixed, notes=(*solid.notes, note)), displacement
-
-
-def _marked(point_data: Mapping[str, np.ndarray], name: str, n: int) -> np.ndarray:
-    """Return whether the point data ``name`` mark each of n nodes by 1 (n,) bool; all False if the file lacks these data."""
-    values = np.asarray(point_data.get(name, np.zeros(n)))
-    if values.size != n:
-        raise InputError(
-            f"point data `{name}` must be one number for each node, 0 or 1; got {values.size // n} for each"
-        )
-    values = values.reshape(n)
-    wrong = np.flatnonzero(~np.isin(values, (0, 1)))
-    if wrong.size:
-        raise InputError(f"point data `{name}` must be 0 or 1; got {values[wrong[0]]:g} at node {wrong[0]}")
-    return values == 1
-
-
-def _displacement(mesh: meshio.Mesh, solid: TetrahedralMesh, by_group: ByGroup) -> np.ndarray:
-    """Return the prescribed displacement of nodes (n, 3) [mm], that of groups or else of the file."""
-    name, is_fixed = "prescribed_displacement", solid.is_fixed
-    if by_group.displacement:
-        return _displacement_of_groups(solid.groups, by_group.displacement)
-    values = np.asarray(mesh.point_data.get(name, np.zeros((len(is_fixed), 3))), float)
-    if values.shape != (len(is_fixed), 3):
-        raise InputError(f"point data `{name}` must have three components [mm]")
-    bad = np.flatnonzero(~np.isfinite(values).all(axis=1))
-    if bad.size:
-        raise InputError(f"point data `{name}` must be finite numbers; node {bad[0]} has {values[bad[0]].tolist()}")
-    loose = np.flatnonzero(values.any(axis=1) & ~is_fixed)
-    if loose.size:
-        raise InputError(
-            f"point data `{name}` move {loose.size} nodes that are not fixed, the first is node {loose[0]}: set `fixed` = 1 there"
-        )
-    return values
-
-
-def _displacement_of_groups(groups: Groups, given: Mapping[str, tuple[float, ...]]) -> np.ndarray:
-    values = np.full((groups.n_nodes, 3), np.nan)
-    for name, vector in given.items():
-        members = groups.marked([name], "body.displacement_mm")
-        other = np.flatnonzero(members & np.isfinite(values[:, 0]) & (values != vector).any(axis=1))
-        if other.size:
-            raise InputError(
-                f'body.displacement_mm: node {other[0]} of "{name}" is in another group, which moves otherwise'
-            )
-        values[members] = vector
-    return np.nan_to_num(values)
-
-
-def _check_faces(name: str, is_marked: np.ndarray, tetrahedra: np.ndarray) -> None:
-    """Refuse marked nodes that belong to no boundary face with three marked corners."""
-    faces = boundary(tetrahedra[:, :4])
-    lonely = is_marked.copy()
-    lonely[faces[is_marked[faces].all(axis=1)]] = False
-    lonely[np.setdiff1d(np.arange(len(lonely)), tetrahedra[:, :4])] = False  # marks of midpoints are ignored
-    if lonely.any():
-        raise InputError(
-            f"point data `{name}` mark {np.count_nonzero(lonely)} nodes that are on no boundary face with all three corners "
-            f"marked, the first is node {np.flatnonzero(lonely)[0]}: mark whole faces"
-        )
-
-
 # ---- wound and body
 
 
 def _wound(mesh: meshio.Mesh, unit: str, by_group: ByGroup) -> tuple[TetrahedralMesh, np.ndarray]:
     solid = _tetrahedral_mesh(mesh, unit, by_group)
     check(solid.points, solid.tetrahedra, solid.is_fixed, np.zeros_like(solid.is_fixed))
-    solid, _ = _with_middles(solid, np.zeros_like(solid.points))
+    is_fixed, _, notes = followed(solid.is_fixed, solid.tetrahedra, np.zeros_like(solid.points))
+    solid = solid._replace(is_fixed=is_fixed, notes=(*solid.notes, *notes))
     if by_group.wound:
         marked = np.zeros(len(solid.tetrahedra))
         for name in by_group.wound:
@@ -308,15 +227,20 @@ def _wound(mesh: meshio.Mesh, unit: str, by_group: ByGroup) -> tuple[Tetrahedral
 def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None, by_group: ByGroup) -> MeshedBody:
     solid = _tetrahedral_mesh(mesh, unit, by_group)
     notes = list(solid.notes)
-    is_sliding = _marks(mesh, "sliding", solid.groups, by_group.sliding, notes)
-    is_pressurised = _marks(mesh, "pressurised", solid.groups, by_group.pressurised, notes)
+    is_sliding = marks(mesh, "sliding", solid.groups, by_group.sliding, notes)
+    is_pressurised = marks(mesh, "pressurised", solid.groups, by_group.pressurised, notes)
     check(solid.points, solid.tetrahedra, solid.is_fixed, is_sliding)
-    _check_faces("sliding", is_sliding, solid.tetrahedra)
-    _check_faces("pressurised", is_pressurised, solid.tetrahedra)
-    solid, displacement = _with_middles(solid._replace(notes=tuple(notes)), _displacement(mesh, solid, by_group))
+    for name, names, is_marked in (
+        ("sliding", by_group.sliding, is_sliding),
+        ("pressurised", by_group.pressurised, is_pressurised),
+    ):
+        subject = f"the groups of body.{name}" if names else f"point data `{name}`"
+        check_faces(subject, is_marked, solid.tetrahedra)
+    displacement = displacement_of(mesh, solid.is_fixed, solid.groups, by_group.displacement)
+    is_fixed, displacement, more = followed(solid.is_fixed, solid.tetrahedra, displacement)
     E, nu, density = tissue_of(mesh, solid.kind, solid.groups, by_group.materials, elastic)
     return MeshedBody(
-        *(solid.points, solid.tetrahedra, solid.is_fixed, displacement, is_sliding, is_pressurised),
+        *(solid.points, solid.tetrahedra, is_fixed, displacement, is_sliding, is_pressurised),
         *(E, nu, density_kg_mm3(density)),
-        solid.notes,
+        (*notes, *more),
     )

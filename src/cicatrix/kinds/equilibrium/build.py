@@ -13,6 +13,7 @@ from ...cases.laws import law_of
 from ...core.errors import InputError
 from ...core.ranks import Ranks
 from ...core.units import seconds_from_hours
+from ...files.mesh_doubts import doubts_of
 from ...files.meshes import MeshedBody
 from ...geometry.tetrahedra import EDGES, far_origin
 from ...materials.neo_hookean import young_from_moduli
@@ -20,7 +21,6 @@ from ...mechanics.body import Body, local_volumes
 from ...mechanics.solids import solid_body
 from ...numerics.petsc import petsc
 from .case import EquilibriumCase, HistoryTable
-from .doubts import doubts_of
 from .mesh import given_body
 
 

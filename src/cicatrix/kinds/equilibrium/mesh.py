@@ -33,7 +33,7 @@ def given_body(case: EquilibriumCase, elastic: tuple[float, float] | None) -> Me
             "data `pressurised` = 1, or name their group, body.pressurised"
         )
     if case.solver.inverse and given.displacement.any():
-        raise InputError(f"{name}: point data `prescribed_displacement` must be 0 where solver.inverse = true")
+        raise InputError(f"{name}: prescribed displacements must be 0 where solver.inverse = true")
     return given
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from ...core.errors import ConvergenceError
 from ...core.ranks import Ranks
 from ...core.units import acceleration_mm_s2, ml_from_mm3
+from ...files.mesh_doubts import UNIT_QUESTION, doubt_of_extent, doubts_of, extent_of
 from ...mechanics.division import layout_of, shared
 from ...mechanics.equilibrium import Equilibrium
 from ...mechanics.failure import NoEquilibriumError, percent
@@ -23,7 +24,6 @@ from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
 from ...runs.quantity import Quantity
 from .build import displaced_positions, given_and_body, notes_of, on_petsc
 from .case import EquilibriumCase
-from .doubts import doubts_of, extent_of
 from .figures import shape_figure
 from .history import HistoryRun
 
@@ -161,7 +161,9 @@ class EquilibriumRun(Simulation[EquilibriumState]):
             "n_dofs": Quantity(body.discretization.supports(False).n_unknowns, "1", "degrees of freedom that are free"),
             "volume_ml": Quantity(ml_from_mm3(volume.sum()), "ml", "as given"),
             "mass_g": Quantity(1e3 * float(np.sum(body.density * body.volumes(X))), "g"),
-            "largest_extent_mm": extent_of(self.given.points),
+            "largest_extent_mm": Quantity(
+                extent_of(self.given.points), "mm", UNIT_QUESTION if doubt_of_extent(self.given.points) else ""
+            ),
         }
 
     def figures(self, end: End[EquilibriumState]) -> Mapping[str, Drawing]:

@@ -86,6 +86,10 @@ class WoundBody:
     origin: np.ndarray = field(default_factory=lambda: np.zeros(3))
     """Point of the given mesh about which the positions are (3,) [mm]."""
 
+    def given(self, x: np.ndarray) -> np.ndarray:
+        """Return positions (n, 3) [mm] in the coordinates of the given mesh."""
+        return x + self.origin if self.origin.any() else x
+
     @property
     def middle_mm(self) -> float:
         """Coordinate y of the plane y = constant through the wound's centre [mm]."""

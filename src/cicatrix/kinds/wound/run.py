@@ -11,6 +11,7 @@ import numpy as np
 from ...cases.continuum_laws import network_of
 from ...core.units import days_from_hours, hours_from_seconds, seconds_from_hours
 from ...files.figures_continuum import fields_figure
+from ...files.mesh_doubts import doubt_of_extent
 from ...healing.continuum import IntegratorState, integrator_arrays, integrator_from, integrator_scalars
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation
 from ...runs.quantity import Quantity
@@ -48,6 +49,8 @@ class WoundRun(Simulation[WoundStep]):
         self.model = model_of(case, network_of(case.mechanosensing), body)
         self.solver = self.model.solver
         self.notes = [*notes, *self.model.notes]
+        if notes:
+            self.context.progress.update(1.0, " ".join(notes))
         self.end = seconds_from_hours(case.hours)
         self.ratio = "ring_area_ratio" if case.is_sheet else "cavity_volume_ratio"
 
@@ -124,7 +127,7 @@ class WoundRun(Simulation[WoundStep]):
         points |= {"cells": state.fields[:, 0], "cytokine": state.fields[:, 1], "displacement": x - X}
         cells = transport.element_vertices if space.n_axes == 3 else _triangles(transport.element_vertices)
         time_days = days_from_hours(hours_from_seconds(integration.time))
-        return Fields("wound", number, time_days, X + self.model.body.origin, cells, points)
+        return Fields("wound", number, time_days, self.model.body.given(X), cells, points)
 
     def pack(self, state: WoundStep) -> Packed:
         """Return the state as arrays and numbers for a checkpoint: all values on which the next step depends."""
@@ -194,7 +197,8 @@ def body_of(case: WoundCase) -> tuple[WoundBody | None, list[str]]:
     if case.body is None:
         return None, []
     solid, is_wound = given_wound(case.body)
-    return meshed_wound(solid.points, solid.tetrahedra, solid.is_fixed, is_wound), list(solid.notes)
+    notes = [*solid.notes, *filter(None, [doubt_of_extent(solid.points)])]
+    return meshed_wound(solid.points, solid.tetrahedra, solid.is_fixed, is_wound), notes
 
 
 def _triangles(squares: np.ndarray) -> np.ndarray:

@@ -6,35 +6,35 @@ from collections.abc import Iterator, Mapping
 
 import numpy as np
 
-from ...core.units import density_kg_m3
-from ...files.meshes import MeshedBody
-from ...runs.quantity import Quantity
+from ..core.units import density_kg_m3
+from .meshes import MeshedBody
 
+UNIT_QUESTION = "is body.mesh_unit right?"
 LIKELY_MM = (2.0, 1000.0)  # largest extent of a body in surgery
 LIKELY_KG_M3 = (500.0, 2000.0)  # density of tissue, from fat and lung to cortical bone
 LIKELY_KPA = (0.05, 1e5)  # Young's modulus of tissue, from fat to tendon
 STIFF_KPA = 1e3  # a body without any softer tissue is no soft tissue
 ALMOST_INCOMPRESSIBLE = 0.499  # Poisson's ratio above which equilibrium is hard to find
-DENSITY_UNITS = {"g/cm^3": 1e3, "kg/mm^3": 1e9, "t/mm^3": 1e12}  # unit: its value in kg/m^3
+DENSITY_UNITS = {"g/cm^3": 1e3, "g/mm^3": 1e6, "kg/mm^3": 1e9, "t/mm^3": 1e12}  # unit: its value in kg/m^3
 STIFFNESS_UNITS = {"MPa": 1e3, "Pa": 1e-3}  # unit: its value in kPa
 
 
 def doubts_of(given: MeshedBody) -> list[str]:
     """Return a sentence on each number of a mesh that is unlikely; an empty list if all are likely."""
-    return [*_of_extent(given.points), *_of_density(density_kg_m3(given.density)), *_of_stiffness(given.E, given.nu)]
+    extent = filter(None, [doubt_of_extent(given.points)])
+    return [*extent, *_of_density(density_kg_m3(given.density)), *_of_stiffness(given.E, given.nu)]
 
 
-def extent_of(points: np.ndarray) -> Quantity:
-    """Return the largest extent of a body, with a question as its note if it is implausible for a body in surgery."""
-    largest = float(np.ptp(points, axis=0).max())
-    doubt = "" if LIKELY_MM[0] <= largest <= LIKELY_MM[1] else "is body.mesh_unit right?"
-    return Quantity(largest, "mm", doubt)
+def doubt_of_extent(points: np.ndarray) -> str:
+    """Return a question for the unit if the extent of a mesh, points (n, 3) [mm], is unlikely; otherwise an empty text."""
+    largest = extent_of(points)
+    likely = LIKELY_MM[0] <= largest <= LIKELY_MM[1]
+    return "" if likely else f"The mesh is {largest:g} mm across: {UNIT_QUESTION}"
 
 
-def _of_extent(points: np.ndarray) -> Iterator[str]:
-    extent = extent_of(points)
-    if extent.note:
-        yield f"The mesh is {extent.value:g} mm across: {extent.note}"
+def extent_of(points: np.ndarray) -> float:
+    """Return the largest extent of a body along an axis: points (n, 3) [mm] -> [mm]."""
+    return float(np.ptp(points, axis=0).max())
 
 
 def _of_density(density: np.ndarray) -> Iterator[str]:
