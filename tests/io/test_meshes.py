@@ -445,6 +445,27 @@ def node_data(name, values):
     return f'$NodeData\n1\n"{name}"\n1\n0\n3\n0\n1\n{len(values)}\n{rows}\n$EndNodeData\n'
 
 
+def test_faces_beside_a_group_are_told(tmp_path):
+    """Two faces of a single tetrahedron are in the group; the two others have all their corners in it."""
+    points = np.vstack([np.zeros(3), np.eye(3)])
+    cells = np.array([[0, 1, 2, 3]])
+    tags = np.arange(1, 5)
+    faces = boundary(cells)
+    rows = [(2, 2, 7, 1, *tags[f]) for f in faces[:2]] + [(4, 2, 2, 1, *tags[cells[0]])]
+    (tmp_path / "a.msh").write_text(
+        f'$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$PhysicalNames\n1\n2 7 "SKIN"\n$EndPhysicalNames\n$Nodes\n4\n{numbered(points)}\n'
+        f"$EndNodes\n$Elements\n3\n{numbered(rows)}\n$EndElements\n"
+    )
+    tissue = {"volume 2": FAT["FAT"]}
+    body = read_body(tmp_path / "a.msh", "mm", None, ByGroup(("SKIN",), pressurised=("SKIN",), materials=tissue))
+    assert body.notes == (
+        "2 boundary faces outside the groups of body.pressurised have all corners in them and count too.",
+    )
+    (tmp_path / "b.msh").write_text(gmsh_2())
+    by_group = ByGroup(fixed=("CHEST",), pressurised=("CHEST",), materials=FAT)
+    assert read_body(tmp_path / "b.msh", "mm", None, by_group).notes == ()
+
+
 def test_a_wound_by_group(tmp_path):
     (tmp_path / "a.inp").write_text(abaqus())
     solid, is_wound = read_wound(tmp_path / "a.inp", "mm", ByGroup(fixed=("CHEST",), wound=("left",)))

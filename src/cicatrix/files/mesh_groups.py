@@ -11,6 +11,7 @@ import numpy as np
 
 from ..core.errors import InputError
 
+TRIANGLES = ("triangle", "triangle6")
 SHOWN = 12  # names in a message at most
 
 
@@ -22,6 +23,8 @@ class Groups:
     """Nodes of each group, those of its cells if the file does not list them."""
     tetrahedra: dict[str, np.ndarray]
     """Tetrahedra of each group that has some."""
+    faces: dict[str, np.ndarray]
+    """Corners of the triangles of each group that has some (k, 3)."""
     n_nodes: int
 
     def marked(self, names: Iterable[str], key: str) -> np.ndarray:
@@ -62,14 +65,18 @@ def groups_of(mesh: meshio.Mesh, kind: str) -> Groups:
     """Return the groups of a mesh whose tetrahedra are the blocks of type ``kind``."""
     nodes: dict[str, np.ndarray] = {}
     tetrahedra: dict[str, np.ndarray] = {}
+    faces: dict[str, np.ndarray] = {}
     for name, sets in mesh.cell_sets.items():
         members = [np.asarray([] if one is None else one, int) for one in sets]
         used = [block.data[rows].ravel() for block, rows in zip(mesh.cells, members)]
         nodes[name] = np.unique(np.concatenate(used)).astype(int)
+        triangles = [b.data[rows][:, :3] for b, rows in zip(mesh.cells, members) if b.type in TRIANGLES and rows.size]
+        if triangles:
+            faces[name] = np.vstack(triangles)
         blocks = [(rows, len(block)) for block, rows in zip(mesh.cells, members) if block.type == kind]
         starts = np.cumsum([0, *(n for _, n in blocks)])
         inside = np.concatenate([rows + start for (rows, _), start in zip(blocks, starts)])
         if inside.size:
             tetrahedra[name] = inside
     nodes |= {name: np.asarray(members, int) for name, members in mesh.point_sets.items()}
-    return Groups(nodes, tetrahedra, len(mesh.points))
+    return Groups(nodes, tetrahedra, faces, len(mesh.points))

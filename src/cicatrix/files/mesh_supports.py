@@ -82,6 +82,17 @@ def check_faces(subject: str, is_marked: np.ndarray, tetrahedra: np.ndarray) -> 
         )
 
 
+def more_faces(key: str, names: tuple[str, ...], groups: Groups, tetrahedra: np.ndarray) -> list[str]:
+    """Return a note if boundary faces that are in none of the groups have all corners in them, and so count with them."""
+    if not names or not all(name in groups.faces for name in names):
+        return []
+    faces = np.sort(boundary(tetrahedra[:, :4]))
+    own = np.sort(np.vstack([groups.faces[name] for name in names]))
+    counted = faces[groups.marked(names, key)[faces].all(axis=1)]
+    n = len(np.unique(np.vstack([own, counted]), axis=0)) - len(np.unique(own, axis=0))
+    return [f"{n} boundary faces outside the groups of {key} have all corners in them and count too."] if n else []
+
+
 def followed(
     is_fixed: np.ndarray, tetrahedra: np.ndarray, displacement: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, list[str]]:

@@ -15,7 +15,7 @@ from ..core.units import density_kg_m3, density_kg_mm3, mm_from
 from ..geometry.tetrahedra import check, check_coordinates, unmirrored
 from .mesh_formats import read_mesh
 from .mesh_groups import Groups, groups_of
-from .mesh_supports import check_faces, displacement_of, followed, marks
+from .mesh_supports import check_faces, displacement_of, followed, marks, more_faces
 from .mesh_tissue import Tissue, cell_data, refuse, tissue_of
 from .vtu import write_vtu
 
@@ -236,6 +236,7 @@ def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None, by_
     ):
         subject = f"the groups of body.{name}" if names else f"point data `{name}`"
         check_faces(subject, is_marked, solid.tetrahedra)
+        notes += more_faces(f"body.{name}", names, solid.groups, solid.tetrahedra)
     displacement = displacement_of(mesh, solid.is_fixed, solid.groups, by_group.displacement)
     is_fixed, displacement, more = followed(solid.is_fixed, solid.tetrahedra, displacement)
     E, nu, density = tissue_of(mesh, solid.kind, solid.groups, by_group.materials, elastic)
