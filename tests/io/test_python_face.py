@@ -51,7 +51,7 @@ def test_a_case_a_path_and_tables_are_the_same_run(kept, tmp_path, monkeypatch):
     assert [path.name for path in tmp_path.iterdir()] == ["case.toml"]
     with pytest.raises(TypeError, match="nested tables are needed; got int"):
         simulate(3)  # pyright: ignore
-    with pytest.raises(InputError, match="there is no such case file"):
+    with pytest.raises(InputError, match="there is no such file"):
         simulate("other.toml")
 
 
