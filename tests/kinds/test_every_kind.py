@@ -3,7 +3,6 @@
 A new kind needs an entry in :data:`CASES`, its smallest case with something in every product.
 """
 
-import json
 import re
 from pathlib import Path
 
@@ -157,7 +156,6 @@ STATES = [
     for name, (_, moments) in CASES.items()
     for n in moments
 ]
-MEASURED = ("seconds_per_step",)  # numbers of an outcome that are times of this machine
 
 
 class Stopper(Progress):
@@ -224,13 +222,9 @@ def whole(case_of, tmp_path_factory):
 
 
 def products(folder):
-    """Every byte that a run leaves but its manifest, whose seconds differ, and its checkpoints, which may be of other moments."""
-    skipped = {"manifest.json", "checkpoint"}
-    files = [f for f in sorted(folder.rglob("*")) if f.is_file() and not skipped & set(f.relative_to(folder).parts)]
-    found = {str(f.relative_to(folder)): f.read_bytes() for f in files}
-    outcome = json.loads(found["outcome.json"])
-    found["outcome.json"] = json.dumps({name: value for name, value in outcome.items() if name not in MEASURED})
-    return found
+    """Every byte that a run leaves, but its manifest, whose seconds differ."""
+    files = [f for f in sorted(folder.rglob("*")) if f.is_file() and f.name != "manifest.json"]
+    return {str(f.relative_to(folder)): f.read_bytes() for f in files}
 
 
 def notes_without_resuming(results):

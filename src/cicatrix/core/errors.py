@@ -31,3 +31,7 @@ class ConvergenceError(CicatrixError):
 
 class InvariantError(CicatrixError):
     """An invariant is violated (exit code 3), such as the number of cells: an error in the program, not in the input."""
+
+
+class StorageError(CicatrixError):
+    """A file could not be written because the disk gives no room or reports an error (exit code 3)."""

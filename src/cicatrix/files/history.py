@@ -3,15 +3,27 @@
 from __future__ import annotations
 
 import csv
+import hashlib
 import io
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any, NamedTuple, TextIO
 
 import numpy as np
 
-from .atomic import write_bytes
+from .atomic import writing
+
+
+class HistoryMark(NamedTuple):
+    """How far a history was written at some moment, and the hash by which that part is known again."""
+
+    rows: int
+    """Number of rows, without the names of the columns."""
+    size: int
+    """Bytes written [B]."""
+    sha256: str
+    """Hash of these bytes."""
 
 
 class History:
@@ -20,13 +32,38 @@ class History:
     Parameters
     ----------
     path : Path
-        The CSV file; an existing one is continued.
+        The CSV file; the first row of a new history replaces it.
     """
 
     def __init__(self, path: Path):
         self.path = path
-        self._columns: list[str] = _columns(path)
+        self._columns: list[str] = []
+        self._rows, self._size, self._hash = 0, 0, hashlib.sha256()
         self._stream: TextIO | None = None
+
+    @classmethod
+    def continued(cls, path: Path, mark: HistoryMark) -> History:
+        """Go on with a history at a mark; what was written after it is removed.
+
+        Raises
+        ------
+        ValueError
+            If the file does not hold what the mark says: rows before it were changed or removed.
+        """
+        history, content = cls(path), b""
+        if mark.size:
+            with path.open("rb") as stream:
+                content = stream.read(mark.size)
+        history._hash.update(content)
+        history._rows, history._size = mark.rows, len(content)
+        if history.mark() != mark:
+            raise ValueError(f"the first {mark.rows} rows of {path.name} are not those that were written")
+        history._columns = next(csv.reader([content.decode().partition("\n")[0]]), [])
+        return history
+
+    def mark(self) -> HistoryMark:
+        """Return how far the history is written."""
+        return HistoryMark(self._rows, self._size, self._hash.hexdigest())
 
     def record(self, row: Mapping[str, Any]) -> None:
         """Append a row to the file, and flush it to the operating system.
@@ -46,39 +83,47 @@ class History:
         if list(row) != self._columns:
             raise ValueError(f"a history row must have the columns {self._columns}; got {list(row)}")
         self._write([_text(value) for value in row.values()])
+        self._rows += 1
 
-    def cut_after(self, last: int) -> None:
-        """Remove the rows whose first column is above ``last``, and an incomplete last row."""
-        if not self._columns:
-            self.path.unlink(missing_ok=True)
-            return
+    def cut(self) -> None:
+        """Remove from the file all that this writer has not written: later rows of a run that was killed."""
         self.close()
-        head, *rows = _whole_lines(self.path)
-        kept = [row for row in rows if int(next(csv.reader([row]))[0]) <= last]
-        write_bytes(self.path, "".join([head, *kept]).encode())
+        with writing(self.path):
+            if self._size:
+                os.truncate(self.path, self._size)
+            else:
+                self.path.unlink(missing_ok=True)
 
     def sync(self) -> None:
         """Write the recorded rows from the operating system's buffers to the disk."""
         if self._stream is not None:
-            os.fsync(self._stream.fileno())
+            with writing(self.path):
+                os.fsync(self._stream.fileno())
 
     def close(self) -> None:
         """Close the file; a later row opens it again."""
-        if self._stream is not None:
-            self.sync()
-            self._stream.close()
-            self._stream = None
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            with writing(self.path), stream:
+                os.fsync(stream.fileno())
 
     def _start(self, columns: list[str]) -> None:
-        self._columns = columns
-        self.path.unlink(missing_ok=True)
+        with writing(self.path):
+            self.path.unlink(missing_ok=True)
         self._write(columns)
+        self._columns = columns
 
     def _write(self, cells: list[str]) -> None:
-        if self._stream is None:
-            self._stream = self.path.open("a", encoding="utf-8", newline="")
-        csv.writer(self._stream, lineterminator="\n").writerow(cells)
-        self._stream.flush()
+        """Append a line, and flush it to the operating system."""
+        text = table_text(cells, ())
+        with writing(self.path):
+            if self._stream is None:
+                self._stream = self.path.open("a", encoding="utf-8", newline="")
+            self._stream.write(text)
+            self._stream.flush()
+        content = text.encode()
+        self._hash.update(content)
+        self._size += len(content)
 
 
 def read_history(path: Path) -> dict[str, np.ndarray]:
@@ -107,11 +152,6 @@ def _array(cells: list[str]) -> np.ndarray:
         except ValueError:
             continue
     return np.array(cells)
-
-
-def _columns(path: Path) -> list[str]:
-    lines = _whole_lines(path) if path.is_file() else []
-    return next(csv.reader(lines[:1]), [])
 
 
 def _whole_lines(path: Path) -> list[str]:

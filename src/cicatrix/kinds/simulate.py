@@ -45,6 +45,8 @@ def simulate(
         If the case, an image or the folder is at fault.
     ConvergenceError
         If no equilibrium is found; the last good state is kept in ``out``.
+    StorageError
+        If the disk is full or reports an error; ``resume`` goes on once there is room.
 
     Notes
     -----
@@ -55,9 +57,9 @@ def simulate(
         scratch = ScratchFolder()
         results = simulate(case, scratch.path / "run", progress=progress)
         return replace(results, _scratch=scratch) if world().is_first else replace(results, folder=None)
-    ranks, progress, kind = world(), progress or Progress(), simulation_type(case.kind)
+    ranks, progress, kind = world(), progress or Progress(), simulation_type(case.kind).of(case)
     if ranks.size > 1 and not kind.on_ranks:
-        raise InputError(f'kind = "{case.kind}" runs in one process: start it without mpiexec')
+        raise InputError(f'this case of kind = "{case.kind}" runs in one process: start it without mpiexec')
 
     def opened() -> RunFolder:
         inputs, sources = input_files(case), case.sources()

@@ -22,6 +22,7 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from ..core.deferred import Deferred
+from ..core.threads import MKL_THREADS, mkl_threads
 
 if TYPE_CHECKING:
     import pyamg  # pyright: ignore[reportMissingImports]
@@ -32,7 +33,7 @@ HAS_PYAMG = find_spec("pyamg") is not None  # an optional dependency
 
 # bitwise reproducible runs on one type of processor: otherwise MKL's order of summation depends on threads and memory alignment.
 # COMPATIBLE would give identical results on every x86-64 processor, but takes two to three times as long
-os.environ.setdefault("MKL_NUM_THREADS", os.environ.get("CICATRIX_THREADS", "1"))
+os.environ[MKL_THREADS] = mkl_threads()
 os.environ.setdefault("MKL_CBWR", "AUTO")
 
 

@@ -6,14 +6,15 @@ All ranks integrate the same simulation synchronously; only the first one has a 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import nullcontext
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
-from ..core.errors import ConvergenceError
+from ..core.errors import ConvergenceError, InputError, StorageError
 from ..core.posix_signals import deferred_signals
 from ..core.ranks import Ranks
+from .checkpoints import Checkpoint
 from .kind import Context, Drawing, End, Simulation
 from .progress import Progress, Seconds
 from .results import RunFolder
@@ -32,7 +33,7 @@ def drive(
     Parameters
     ----------
     kind : type of Simulation
-        What to build.
+        What to build: the class that simulates the case, as ``Simulation.of`` returns it.
     case : Case
         What to compute.
     folder : RunFolder or None
@@ -42,7 +43,7 @@ def drive(
     ranks : Ranks, optional
         Processes that run the simulation together; a single one by default.
     """
-    ranks, kind = ranks or Ranks(), kind.of(case)
+    ranks = ranks or Ranks()
     checkpoint = ranks.share(folder.checkpoint if folder else None)
     with progress.stage(kind.building) if kind.building else nullcontext():
         simulation = kind(case, Context(progress, ranks, checkpoint))
@@ -52,13 +53,22 @@ def drive(
         state = ranks.agree(simulation.start)
         ranks.agree(partial(writer.record, state) if writer else _nothing)
     else:
-        state = ranks.agree(partial(simulation.unpack, checkpoint.arrays, checkpoint.scalars))
+        state = ranks.agree(partial(_unpacked, simulation, checkpoint))
         if writer:
             writer.go_on(state)
     with progress.stage(kind.marching):
         state = _march(simulation, state, writer, ranks)
     if writer:
         writer.close(state)
+
+
+def _unpacked(simulation: Simulation, checkpoint: Checkpoint) -> Any:
+    try:
+        return simulation.unpack(checkpoint.arrays, checkpoint.scalars)
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as error:
+        raise InputError(
+            f"the checkpoint of cycle {checkpoint.cycle} holds no state of this case ({error}); start without --resume"
+        ) from error
 
 
 def _march(simulation: Simulation, state: Any, writer: _Writer | None, ranks: Ranks) -> Any:
@@ -94,16 +104,24 @@ def _nothing() -> None:
     """Do nothing; called by the other ranks while the first one writes, so that an error in writing is raised on all."""
 
 
+class _Mark(NamedTuple):
+    """A state from which a run can be resumed."""
+
+    state: Any
+    number: int
+    """Number of the last row."""
+    content: Mapping[str, Any]
+    """What the run's folder held of history and fields."""
+
+
 class _Writer:
     """Writes a simulation's states into a run's folder: rows, fields, notes, checkpoints, and results at the end."""
 
     def __init__(self, simulation: Simulation, folder: RunFolder, progress: Progress) -> None:
         self.simulation, self.folder, self.progress = simulation, folder, progress
         self._recorded: Any = None  # the last state whose rows are written
-        self._mark: Any = None  # the last state from which a run can be resumed
+        self._mark: _Mark | None = None  # the last one, if it is later than the checkpoint
         self._number = folder.checkpoint.cycle if folder.checkpoint else None  # number of the last row
-        self._mark_number = self._number
-        self._saved_number = self._number
         self._saved_at = time.perf_counter()
         self._steps = progress.seconds.setdefault(STEPS, Seconds())
         self._note()
@@ -150,26 +168,26 @@ class _Writer:
                 self.folder.write_fields(fields)
             self._note()
             self._recorded = state
-            if self.simulation.is_mark(state):
-                self._mark, self._mark_number = state, self._number
+            if self._number is not None and self.simulation.is_mark(state):
+                self._mark = _Mark(state, self._number, self.folder.content())
             if time.perf_counter() - self._saved_at > CHECKPOINT_SECONDS:
                 self.save()
 
     def save(self) -> None:
         """Write a checkpoint of the last state from which a run can be resumed, unless it is saved already."""
-        if self._mark is None or self._mark_number is None or self._mark_number == self._saved_number:
+        mark = self._mark
+        if mark is None or not self.simulation.is_mark(
+            mark.state
+        ):  # interrupted after a step and before its state came
             return
-        if not self.simulation.is_mark(self._mark):  # interrupted after a step and before its state came
-            return
-        self.folder.save_checkpoint(self._mark_number, *self.simulation.pack(self._mark))
-        self._saved_number, self._saved_at = self._mark_number, time.perf_counter()
+        self.folder.save_checkpoint(mark.number, *self.simulation.pack(mark.state), mark.content)
+        self._mark, self._saved_at = None, time.perf_counter()
 
     def close(self, state: Any) -> None:
         """Write outcome, tables and surfaces, then the figures; a figure that cannot be drawn is noted and left out."""
         analysis = self.simulation.analyse(state)
         with self.progress.stage("outcome"):
-            seconds = self.folder.seconds(STEPS).wall
-            end = End(state, self.folder.history(), analysis, seconds)
+            end = End(state, self.folder.history(), analysis)
             for fields in self.simulation.last_fields(end):
                 self.folder.write_fields(fields)
             self.folder.write_outcome(self.simulation.outcome(end))
@@ -187,6 +205,8 @@ class _Writer:
         for name, draw in figures.items():
             try:
                 self.folder.save_figure(name, draw())
+            except StorageError:
+                raise
             except Exception as error:
                 self.folder.note(f"The figure {name} could not be drawn: {type(error).__name__}: {error}")
 

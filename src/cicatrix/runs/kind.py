@@ -76,15 +76,13 @@ class SurfaceData(NamedTuple):
 
 
 class End(NamedTuple, Generic[S]):
-    """Final state of a simulation, with its history and results."""
+    """Final state of a simulation, with its history and results, without times of this machine: equal runs are equal."""
 
     state: S
     history: dict[str, np.ndarray]
     """Columns of history.csv (n_rows,)."""
     analysis: Any = None
     """Value returned by :meth:`Simulation.analyse`."""
-    step_seconds: float = 0.0
-    """Wall-clock time spent in ``march`` alone, including earlier, interrupted parts of the run [s]."""
 
 
 class Simulation(ABC, Generic[S]):

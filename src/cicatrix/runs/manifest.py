@@ -7,9 +7,12 @@ import platform
 from collections.abc import Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from ..core.errors import InputError
+from ..core.threads import threads_of_libraries
 from ..core.version import __version__
 from ..files.text import sha256_of
 from .progress import Seconds
@@ -48,6 +51,7 @@ def new_manifest(
         "python": platform.python_version(),
         "platform": platform.platform(terse=True),
         "libraries": dict(_versions()),
+        "threads": threads_of_libraries(),
     }
 
 
@@ -60,22 +64,56 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         If the file is not a valid manifest.
     """
     path = folder / MANIFEST
+    if path.is_dir():
+        raise InputError(f"{path} is a folder; it is not the manifest of a run")
     if not path.is_file():
         return None
     try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, OSError):
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, OSError, RecursionError):
         raise InputError(f"{path} cannot be read as JSON; it is not the manifest of a run") from None
-    if not _describes_a_run(manifest):
-        raise InputError(f"{path} is not the manifest of a run")
-    return manifest
+    if not isinstance(content, dict):
+        raise InputError(f"{path} is not the manifest of a run: it must be a table of JSON")
+    try:
+        return content | _Manifest.model_validate(content).model_dump()
+    except ValidationError as error:
+        raise InputError(f"{path} is not the manifest of a run: {_fault(error)}") from None
 
 
-def _describes_a_run(manifest: Any) -> bool:
-    parts = ("program", "case", "inputs", "status")
-    if not isinstance(manifest, dict) or not all(isinstance(manifest.get(part), dict) for part in parts):
-        return False
-    return {"state", "sentence"} <= manifest["status"].keys()
+class _Status(BaseModel):
+    state: Literal["running", "finished", "failed", "interrupted"]
+    sentence: str
+
+
+class _Spent(BaseModel):
+    wall: FiniteFloat
+    cpu: FiniteFloat
+
+
+class _Manifest(BaseModel):
+    """What is read of a manifest; the tables with a default may be missing, as in manifests of earlier versions."""
+
+    model_config = ConfigDict(extra="allow")
+
+    program: dict[str, Any]
+    status: _Status
+    case: dict[str, Any]
+    inputs: dict[str, dict[str, Any]]
+    sources: dict[str, str] = {}
+    notes: list[str] = []
+    seconds: dict[str, _Spent] = {}
+    libraries: dict[str, str] = {}
+    threads: dict[str, str] = {}
+    found: dict[str, Any] = {}
+
+
+def _fault(error: ValidationError) -> str:
+    """Return what is wrong with the first part of a manifest that is not as it must be."""
+    first = error.errors()[0]
+    name = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "missing":
+        return f"{name} is missing"
+    return f"{name} {first['msg'][:1].lower()}{first['msg'][1:]}; got {json.dumps(first['input'])[:40]}"
 
 
 def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
@@ -93,10 +131,21 @@ def differences(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
 
 
 def continued(old: dict[str, Any], new: dict[str, Any]) -> dict[str, Any]:
-    """Return the manifest of a resumed run: the earlier one with status running, and a note if library versions changed."""
-    changed = [name for name, version in new["libraries"].items() if old["libraries"].get(name) != version]
-    notes = [f"Resumed with other versions of {', '.join(changed)}; bytes may differ."] if changed else []
-    return old | {"status": new["status"], "libraries": new["libraries"], "notes": [*old["notes"], *notes]}
+    """Return the manifest of a resumed run: the earlier one with status running, and notes if versions or threads changed."""
+    notes = []
+    if changed := _changed(old["libraries"], new["libraries"]):
+        notes.append(f"Resumed with other versions of {', '.join(changed)}; bytes may differ.")
+    if old["threads"]:
+        notes += [
+            f"Resumed with {name} = {new['threads'][name]}, after {old['threads'].get(name, 'unknown')}; bytes may differ."
+            for name in _changed(old["threads"], new["threads"])
+        ]
+    kept = {name: new[name] for name in ("status", "libraries", "threads")}
+    return old | kept | {"notes": [*old["notes"], *(note for note in notes if note not in old["notes"])]}
+
+
+def _changed(old: Mapping[str, str], new: Mapping[str, str]) -> list[str]:
+    return [name for name, value in new.items() if old.get(name) != value]
 
 
 def add_seconds(before: Mapping[str, Any], now: Mapping[str, Seconds]) -> dict[str, dict[str, float]]:

@@ -6,39 +6,49 @@ power cut, ``failed``, ``interrupted``) is unfinished: it can be resumed from it
 
 from __future__ import annotations
 
-import json
 import math
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Literal, TypeVar
 
 import numpy as np
 
-from ..core.errors import ConvergenceError, InputError
+from ..core.errors import ConvergenceError, InputError, StorageError
 from ..core.optional import optional
 from ..files.atomic import replacing, write_bytes, write_json
 from ..files.history import History, read_history, table_text
 from ..files.images import write_volume
 from ..files.stl import write_stl
-from ..files.vtu import TimeStepFile, read_series, write_series, write_vtu
+from ..files.vtu import TimeStepFile, write_series, write_vtu
 from ..geometry.transfer import QUARTERS
 from ..geometry.volume import Volume
 from . import checkpoints
 from .checkpoints import Checkpoint
 from .fields import FieldSeries
-from .folders import holds_something, lock, make, remove, sweep, unlock
+from .folders import is_new, lock, make, remove, sweep, unlock
 from .kind import Fields
-from .manifest import MANIFEST, add_seconds, continued, differences, new_manifest, read_manifest
-from .progress import Progress, Seconds
+from .manifest import MANIFEST, add_seconds, continued, new_manifest, read_manifest
+from .progress import Progress
 from .quantity import Quantity
+from .resuming import (
+    SERIES_FOLDERS,
+    content_of,
+    doubt_of,
+    earlier_manifest,
+    flaw_of,
+    history_of,
+    read_outcome,
+    refuse_other,
+    step_files_of,
+)
 from .scratch import ScratchFolder
 from .summary import html_of, text_of
 
 T = TypeVar("T")
-SERIES_FOLDERS = ("fields", "shapes")
 PRODUCTS = (
     "checkpoint",
     "outcome.json",
@@ -200,11 +210,13 @@ class RunFolder:
         ------
         InputError
             If the folder holds something else, a finished run (without ``resume``), another case (with it), only
-            damaged checkpoints, or a run that is still in progress.
+            damaged checkpoints, files that no checkpoint fits, or a run that is still in progress; or if it cannot be made.
+        StorageError
+            If the disk is full.
         """
         path, manifest = Path(path), new_manifest(case, seed, inputs or {}, sources or {})
-        old = _old_manifest(path)
-        made_here = not path.exists()
+        made_here = is_new(path)
+        old = None if made_here else earlier_manifest(path)
         make(path)
         held = lock(path)
         try:
@@ -218,14 +230,19 @@ class RunFolder:
 
     @classmethod
     def _continued(cls, path: Path, old: dict | None, new: dict, resume: bool, progress: Progress) -> RunFolder:
+        is_finished = old is not None and old["status"]["state"] == "finished"
         if old is not None and resume:
-            _refuse_other(path, old, new)
-            if old["status"]["state"] == "finished":
+            refuse_other(path, old, new)
+            flaw = flaw_of(path) if is_finished else ""
+            if is_finished and not flaw:
                 return cls(path, old, progress)
-            checkpoint = checkpoints.load_checkpoint(path / "checkpoint")
+            checkpoint = checkpoints.load_checkpoint(path / "checkpoint", partial(doubt_of, path))
             if checkpoint is not None:
-                return cls._resumed(path, continued(old, new), progress, checkpoint)
-        elif old is not None and old["status"]["state"] == "finished":
+                return cls._resumed(path, continued(old, new), progress, checkpoint, flaw)
+            if is_finished:
+                raise InputError(f"{path} holds a finished run of which {flaw}, and no checkpoint; give another --out")
+            new["notes"].append("Resumed without a checkpoint: the run began anew.")
+        elif is_finished:
             raise InputError(f"{path} holds a finished run; give another --out, or --resume to keep it")
         remove(path / PRODUCTS[0])  # the checkpoint goes before the manifest, so it is never taken for the new case's
         write_json(path / MANIFEST, new)
@@ -234,19 +251,35 @@ class RunFolder:
         return cls(path, new, progress)
 
     @classmethod
-    def _resumed(cls, path: Path, manifest: dict, progress: Progress, checkpoint: Checkpoint) -> RunFolder:
+    def _resumed(
+        cls, path: Path, manifest: dict, progress: Progress, checkpoint: Checkpoint, flaw: str = ""
+    ) -> RunFolder:
+        found = [f"Resumed although finished, as {flaw}."] if flaw else []
+        manifest["notes"] += [*found, *checkpoint.notes, f"Resumed after cycle {checkpoint.cycle}."]
+        write_json(path / MANIFEST, manifest)
         run = cls(path, manifest, progress, checkpoint)
-        run._manifest["notes"] = [*manifest["notes"], *checkpoint.notes, f"Resumed after cycle {checkpoint.cycle}."]
         checkpoints.keep_newest(path / "checkpoint", checkpoint.cycle)
         remove(path / "outcome.json")
-        run._history.cut_after(checkpoint.cycle)
+        run._history = History.continued(path / "history.csv", history_of(checkpoint))
+        run._history.cut()
         for name in SERIES_FOLDERS:
-            step_files = read_series(path / name)
-            run._step_files[name] = [step_file for step_file in step_files if step_file.cycle <= checkpoint.cycle]
-            if step_files:
-                write_series(path / name, run._step_files[name])
-        write_json(path / MANIFEST, manifest)
+            run._keep(name, step_files_of(checkpoint, name))
         return run
+
+    def _keep(self, name: str, step_files: list[TimeStepFile]) -> None:
+        """Go on with a series of VTU files, and remove the files after it."""
+        kept, folder = {step_file.name for step_file in step_files}, self.path / name
+        for later in [file for file in folder.glob("*.vtu") if file.name not in kept]:
+            remove(later)
+        self._step_files[name] = step_files
+        if step_files:
+            write_series(folder, step_files)
+        else:
+            remove(folder)
+
+    def content(self) -> dict[str, Any]:
+        """Return what a checkpoint holds about the folder: how far history and series are written."""
+        return content_of(self._history.mark(), self._step_files)
 
     def record(self, row: Mapping[str, Any]) -> None:
         """Append a row to history.csv: its number, then values with units in their names; all rows have the same names."""
@@ -291,11 +324,26 @@ class RunFolder:
         return path
 
     def save_checkpoint(
-        self, cycle: int, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any] | None = None
+        self,
+        cycle: int,
+        arrays: Mapping[str, np.ndarray],
+        scalars: Mapping[str, Any] | None = None,
+        content: Mapping[str, Any] | None = None,
     ) -> None:
-        """Save the state at the end of a cycle; the rows and fields up to it must already be written."""
+        """Save the state at the end of a cycle; the rows and fields up to it must already be written.
+
+        Parameters
+        ----------
+        cycle : int
+            Number of the cycle.
+        arrays, scalars : mapping
+            The state.
+        content : mapping, optional
+            What :meth:`content` returned at the end of that cycle; by default, what it returns now.
+        """
+        content = content or self.content()
         self._history.sync()
-        checkpoints.save_checkpoint(self.path / "checkpoint", cycle, arrays, scalars)
+        checkpoints.save_checkpoint(self.path / "checkpoint", cycle, arrays, scalars, content)
         self._last_cycle = cycle
         self._write_manifest()
 
@@ -331,14 +379,29 @@ class RunFolder:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._history.close()
         try:
-            if isinstance(error, InputError) and self._made_here and self._last_cycle is None:
-                shutil.rmtree(self.path)
-            elif not self.already_finished:
-                self._close_with(error)
+            fault = self._leave(error)
         finally:
             unlock(self._lock)
+        if fault is not None and fault is not error:
+            raise fault from error
+
+    def _leave(self, error: BaseException | None) -> BaseException | None:
+        """Close the files, and return the error to raise: one that the disk causes now, or the given one with advice."""
+        try:
+            self._history.close()
+        except StorageError as late:
+            error = error or late
+        if isinstance(error, InputError) and self._made_here and self._last_cycle is None:
+            shutil.rmtree(self.path, ignore_errors=True)
+            return error
+        error = _with_advice(error)
+        try:
+            if not self.already_finished:
+                self._close_with(error)
+        except (StorageError, InputError) as late:  # the manifest remains that of a run that has not ended
+            error = error or _with_advice(late)
+        return error
 
     def _close_with(self, error: BaseException | None) -> None:
         state = "finished" if error is None else "failed" if isinstance(error, Exception) else "interrupted"
@@ -348,6 +411,8 @@ class RunFolder:
         if isinstance(error, ConvergenceError):
             for line in error.history:
                 self.note(line)
+        if state == "finished" and self._last_cycle is not None:
+            checkpoints.keep_newest(self.path / "checkpoint", self._last_cycle, 1)
         self._manifest["status"] = {"state": state, "sentence": sentences[state]}
         self._write_manifest()
 
@@ -355,11 +420,6 @@ class RunFolder:
         if self._last_cycle is None:
             return "Interrupted before the first checkpoint; it starts over."
         return f"Interrupted after cycle {self._last_cycle}; it can be resumed from there."
-
-    def seconds(self, stage: str) -> Seconds:
-        """Time spent in a stage over all sessions of the run [s]."""
-        spent = add_seconds(self._earlier_seconds, self._progress.seconds).get(stage, {"wall": 0.0, "cpu": 0.0})
-        return Seconds(**spent)
 
     def _write_manifest(self) -> None:
         self._manifest["seconds"] = add_seconds(self._earlier_seconds, self._progress.seconds)
@@ -386,7 +446,7 @@ def open_run(folder: str | Path) -> Results:
     if manifest is None:
         raise InputError(f"{folder} holds no run: it has no {MANIFEST}")
     history = _undamaged(read_history, folder / "history.csv")
-    return Results(history, _undamaged(_read_outcome, folder / "outcome.json"), manifest, folder)
+    return Results(history, _undamaged(read_outcome, folder / "outcome.json"), manifest, folder)
 
 
 def _undamaged(read: Callable[[Path], T], path: Path) -> T:
@@ -394,11 +454,6 @@ def _undamaged(read: Callable[[Path], T], path: Path) -> T:
         return read(path)
     except (ValueError, TypeError, AttributeError, IndexError):
         raise InputError(f"{path} is damaged: it cannot be read as the {path.stem} of a run") from None
-
-
-def _read_outcome(path: Path) -> dict[str, Quantity]:
-    table = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}
-    return {name: Quantity(**asked) for name, asked in table.items()}
 
 
 def plain(value: Any) -> Any:
@@ -412,16 +467,5 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _old_manifest(path: Path) -> dict[str, Any] | None:
-    if path.exists() and not path.is_dir():
-        raise InputError(f"{path} is a file; --out must name a folder")
-    manifest = read_manifest(path)
-    if manifest is None and holds_something(path):
-        raise InputError(f"{path} is not empty and holds no run; give another --out")
-    return manifest
-
-
-def _refuse_other(path: Path, old: dict[str, Any], new: dict[str, Any]) -> None:
-    differing = differences(old, new)
-    if differing:
-        raise InputError(f"{path} holds another run, so it cannot be resumed: {', '.join(differing)} differ")
+def _with_advice(error: BaseException | None) -> BaseException | None:
+    return StorageError(f"{error}, then run again with --resume") if isinstance(error, StorageError) else error

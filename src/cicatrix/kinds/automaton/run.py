@@ -153,7 +153,6 @@ class AutomatonRun(Simulation[ClosureState]):
         return {
             "steps_to_closure": closure,
             "occupancy_sha256": Quantity(hashlib.sha256(bits).hexdigest(), "", "bits of the lattice in C order"),
-            "seconds_per_step": Quantity(end.step_seconds / max(last, 1), "s"),
             "n_sites": Quantity(self.automaton.lattice.n_sites, "1"),
         }
 
