@@ -5,19 +5,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from ..pages.run_view import assumption_of
+from ..runs.driver import STEPS
 from ..runs.quantity import Quantity
 from ..runs.results import Results
 from .printing import printable
 
 
 def print_headline(results: Results) -> None:
-    """Print how the run ended, the assumption behind the healed shape, the scalar outcomes, the figures and the folder."""
+    """Print how the run ended, the assumption behind the healed shape, the numbers, the time, the pictures and the folder."""
     print(printable(results.status[1]))
     assumption = assumption_of(results.manifest.get("case", {}))
     if assumption:
         print(assumption)
     for line in _numbers(results):
         print(line)
+    if STEPS in results.manifest["seconds"]:
+        print(f"time:    {results.manifest['seconds'][STEPS]['wall']:.3g} s in steps")
     if results.folder is not None:
         for picture in sorted((results.folder / "figures").glob("*.png")):
             print(printable(f"picture: {picture}"))

@@ -19,6 +19,7 @@ from typing import NoReturn
 from ..core.errors import CicatrixError, ConvergenceError, InputError
 from ..core.ranks import is_first_process, world
 from ..core.version import __version__
+from ..files.atomic import DISK_AT_FAULT, writing_error
 from .arguments import build_parser
 from .printing import printable
 
@@ -38,7 +39,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     Returns
     -------
     int
-        Exit code: 0 done, 2 error in the input, 3 no convergence or an internal error, 130 interrupted.
+        Exit code: 0 done, 2 error in the input, 3 no convergence, a full disk or an internal error, 130 interrupted.
     """
     if argv is None:
         _settle()
@@ -59,9 +60,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the program that reads the pipe has closed it
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return DONE
+    except OSError as error:
+        if error.errno not in DISK_AT_FAULT:
+            return _report_fault(error)
+        return _report_error(writing_error(error.filename or "a file", error))
     except Exception as error:
-        _print_error(f"internal error ({type(error).__name__}); the traceback is in {_write_traceback()}")
-        return FAILED
+        return _report_fault(error)
     finally:
         if previous is not None:
             signal.signal(signal.SIGTERM, previous)
@@ -89,6 +93,11 @@ def _report_error(error: CicatrixError) -> int:
     return error.exit_code
 
 
+def _report_fault(error: Exception) -> int:
+    _print_error(f"internal error ({type(error).__name__}); {_write_traceback()}")
+    return FAILED
+
+
 def _print_error(sentence: str) -> None:
     """Print a sentence to stderr, on one rank only."""
     if is_first_process():
@@ -96,11 +105,16 @@ def _print_error(sentence: str) -> None:
 
 
 def _write_traceback() -> str:
-    handle, path = tempfile.mkstemp(prefix="cicatrix-", suffix="-traceback.txt")
-    with os.fdopen(handle, "w", encoding="utf-8") as stream:
-        stream.write(f"cicatrix {__version__}\n")
-        traceback.print_exc(file=stream)
-    return path
+    """Write the traceback of the error that is handled to a file, and say where; print it if no file can be written."""
+    try:
+        handle, path = tempfile.mkstemp(prefix="cicatrix-", suffix="-traceback.txt")
+        with os.fdopen(handle, "w", encoding="utf-8") as stream:
+            stream.write(f"cicatrix {__version__}\n")
+            traceback.print_exc(file=stream)
+    except OSError:
+        traceback.print_exc()
+        return "the traceback is above"
+    return f"the traceback is in {path}"
 
 
 def _listen_to_termination() -> signal.Handlers | int | None:

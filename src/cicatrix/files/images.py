@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import errno
+import gzip
 import os
+import shutil
 import sys
 import tempfile
+import zlib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -108,14 +112,41 @@ def read_labels(path: str | Path) -> Volume:
 
 
 def write_volume(path: str | Path, volume: Volume) -> None:
-    """Write a volume as NIfTI, without text in its header; channels (n_channels, nz, ny, nx) become its fourth axis."""
+    """Write a volume as NIfTI, without text in its header; channels (n_channels, nz, ny, nx) become its fourth axis.
+
+    Raises
+    ------
+    OSError
+        If the file was not written whole, as on a full disk, which ITK does not report.
+    """
     values = np.ascontiguousarray(volume.values)
     image = sitk.GetImageFromArray(values, isVector=False)
     pad = values.ndim - 3
     image.SetSpacing((*map(float, volume.spacing_mm), *(1.0,) * pad))
     image.SetOrigin((*map(float, volume.origin_mm), *(0.0,) * pad))
     with _quiet():
-        sitk.WriteImage(image, str(path), useCompression=True)
+        try:
+            sitk.WriteImage(image, str(path), useCompression=True)
+        except RuntimeError as error:
+            raise _unwritten(path, values.nbytes) from error
+    if Path(path).suffix == ".gz" and not _is_whole_gzip(Path(path)):
+        raise _unwritten(path, values.nbytes)
+
+
+def _is_whole_gzip(path: Path) -> bool:
+    """Return whether a compressed file ends as it must, with the checksum of its content."""
+    try:
+        with gzip.open(path) as stream:
+            while stream.read(1 << 20):
+                pass
+    except (OSError, EOFError, zlib.error):
+        return False
+    return True
+
+
+def _unwritten(path: str | Path, size: int) -> OSError:
+    code = errno.ENOSPC if shutil.disk_usage(Path(path).parent).free < size else errno.EIO
+    return OSError(code, os.strerror(code), str(path))
 
 
 def _read(path: Path) -> sitk.Image:

@@ -222,9 +222,9 @@ class RunFolder:
         try:
             sweep(path)
             run = cls._continued(path, old, manifest, resume, progress or Progress())
-        except BaseException:
+        except BaseException as error:
             unlock(held)
-            raise
+            raise _with_advice(error) from error.__cause__
         run._lock, run._made_here = held, made_here
         return run
 
@@ -383,8 +383,11 @@ class RunFolder:
             fault = self._leave(error)
         finally:
             unlock(self._lock)
-        if fault is not None and fault is not error:
-            raise fault from error
+        try:
+            if fault is not None and fault is not error:
+                raise fault from error
+        finally:
+            del fault, error  # their tracebacks refer to this frame
 
     def _leave(self, error: BaseException | None) -> BaseException | None:
         """Close the files, and return the error to raise: one that the disk causes now, or the given one with advice."""
