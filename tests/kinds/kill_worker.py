@@ -1,7 +1,7 @@
-"""Process that forks runs and kills them: each line on stdin asks for one, each line on stdout says how it ended.
+"""Process that forks runs and ends them by signals: each line on stdin asks for one, each line on stdout says how it ended.
 
-The package is imported once, before any fork, so that a run starts at once and nearly every moment at which it can be killed lies in
-its own work.
+The package is imported once, before any fork, so that a run starts at once and nearly every moment at which it can be ended
+lies in its own work.
 """
 
 import importlib
@@ -36,28 +36,29 @@ def run(case, out, settings, interval_s, flush):
 
     if flush:
         atomic._force_to_disk = dying
-    sink = os.open(os.devnull, os.O_WRONLY)
-    os.dup2(sink, sys.stdout.fileno())
+    sink = os.open(out + ".log", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    for stream in (sys.stdout, sys.stderr):
+        os.dup2(sink, stream.fileno())
     sets = [word for setting in settings for word in ("--set", setting)]
     return main(["run", case, "--out", out, "--resume", *sets])
 
 
-def ended(child, seconds):
-    """Wait for a child, and kill it after so many seconds (None: never); return its exit status and its own seconds."""
+def ended(child, seconds, number):
+    """Wait for a child, and send it a signal after so many seconds (None: never); return its exit status and its seconds."""
     began = time.monotonic()
     while seconds is not None and time.monotonic() - began < seconds:
         if os.waitid(os.P_PID, child, os.WEXITED | os.WNOHANG | os.WNOWAIT):
             break
         time.sleep(min(0.002, seconds))
     if seconds is not None:
-        os.kill(child, signal.SIGKILL)
+        os.kill(child, number)
     status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
     return {"status": status, "seconds": time.monotonic() - began}
 
 
 for line in sys.stdin:
     asked = json.loads(line)
-    seconds = asked.pop("kill_after_s")
+    after, number = asked.pop("after_s"), asked.pop("signal")
     child = os.fork()
     if child == 0:
         code = 1
@@ -65,4 +66,4 @@ for line in sys.stdin:
             code = run(**asked)
         finally:
             os._exit(code)
-    print(json.dumps(ended(child, seconds)), flush=True)
+    print(json.dumps(ended(child, after, number)), flush=True)

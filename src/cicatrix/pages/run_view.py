@@ -153,7 +153,9 @@ def _gaps(results: Results) -> list[str]:
     if not results.history:
         gaps.append("There is no history yet (history.csv), so no curves are drawn.")
     if not results.outcome and results.status[0] == "finished":
-        gaps.append("There are no numbers yet (outcome.json), though it is finished; cicatrix run --resume writes them.")
+        gaps.append(
+            "There are no numbers yet (outcome.json), though it is finished; cicatrix run --resume writes them."
+        )
     elif not results.outcome:
         gaps.append("There are no numbers yet (outcome.json); they are written when a run ends.")
     return gaps
