@@ -158,6 +158,33 @@ def test_an_odd_checkpoint_costs_one_checkpoint(odd, whole, tmp_path):
     assert bytes_of(tmp_path / "run") == whole
 
 
+@pytest.mark.parametrize("spoil", [folder_in_place, lambda path: path.write_text("[" * 100_000)])
+def test_an_odd_outcome_is_a_sentence(spoil, tmp_path):
+    go(tmp_path / "run")
+    spoil(tmp_path / "run" / "outcome.json")
+    with pytest.raises(InputError, match=r"outcome\.json is damaged"):
+        cicatrix.open_run(tmp_path / "run")
+
+
+def test_a_damaged_series_is_a_sentence(whole, tmp_path):
+    (stopped(tmp_path / "run") / "fields" / "series.pvd").write_text("<VTKFile")
+    with pytest.raises(InputError, match=r"series\.pvd is damaged"):
+        _ = cicatrix.open_run(tmp_path / "run").fields
+    go(tmp_path / "run")
+    assert bytes_of(tmp_path / "run") == whole
+
+
+def test_a_checkpoint_of_another_form_is_a_sentence(tmp_path):
+    case, out = tmp_path / "case.toml", tmp_path / "run"
+    case.write_text(FILES)
+    cicatrix.simulate(case, out)
+    state = load_checkpoint(out / "checkpoint")
+    save_checkpoint(out / "checkpoint", state.cycle, {"x": np.ones(2)}, {}, state.files)
+    (out / "outcome.json").unlink()
+    with pytest.raises(InputError, match=r"checkpoint of cycle \d+ holds no state of this case"):
+        cicatrix.simulate(case, out, resume=True)
+
+
 def test_a_file_in_place_of_the_checkpoints(tmp_path):
     checkpoint = stopped(tmp_path / "run") / "checkpoint"
     checkpoint.rename(tmp_path / "away")

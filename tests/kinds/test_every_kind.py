@@ -11,7 +11,8 @@ import pytest
 import skfem
 
 import cicatrix
-from cicatrix.core.errors import ConvergenceError
+from cicatrix.core.errors import ConvergenceError, InputError
+from cicatrix.core.ranks import Ranks
 from cicatrix.files.images import write_volume
 from cicatrix.files.vtu import write_vtu
 from cicatrix.geometry.tetrahedra import oriented
@@ -295,6 +296,21 @@ def test_a_solve_that_fails_keeps_the_last_good_state(name, case_of, whole, tmp_
     assert list((tmp_path / "run" / "checkpoint").glob("*.json"))
     cicatrix.simulate(case, tmp_path / "run", resume=True)
     assert products(tmp_path / "run") == products(whole(name).folder)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_case_that_ranks_cannot_share_is_refused_before_it_is_built(name, case_of, tmp_path, monkeypatch):
+    class TwoRanks(Ranks):
+        size = 2
+
+    case = case_of(name)
+    if simulation_type(case.kind).of(case).on_ranks:
+        assert name in ("automaton", "equilibrium")
+        return
+    monkeypatch.setattr("cicatrix.kinds.simulate.world", TwoRanks)
+    with pytest.raises(InputError, match="runs in one process: start it without mpiexec"):
+        cicatrix.simulate(case, tmp_path / "run")
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.parametrize("name", NAMES)

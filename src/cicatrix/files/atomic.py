@@ -17,8 +17,8 @@ from typing import Any
 from ..core.errors import CicatrixError, InputError, StorageError
 
 DISK_AT_FAULT = {
+    getattr(errno, "EDQUOT", errno.ENOSPC): "your quota of this disk is used up; free space",  # Windows has none
     errno.ENOSPC: "the disk is full; free space",
-    getattr(errno, "EDQUOT", errno.ENOSPC): "your quota of this disk is used up; free space",
     errno.EFBIG: "the file would be larger than this system allows; raise the limit (ulimit -f)",
     errno.EIO: "the disk reports an error; check it",
 }

@@ -87,12 +87,22 @@ def write_series(folder: Path, step_files: list[TimeStepFile]) -> None:
 
 
 def read_series(folder: Path) -> list[TimeStepFile]:
-    """Read the time steps of a series; an empty list if there is no series yet."""
+    """Read the time steps of a series; an empty list if there is no series yet.
+
+    Raises
+    ------
+    InputError
+        If the file is damaged.
+    """
     path = folder / SERIES
     if not path.is_file():
         return []
     step_files = []
-    for row in ElementTree.parse(path).iter("DataSet"):
+    try:
+        rows = list(ElementTree.parse(path).iter("DataSet"))
+    except (ElementTree.ParseError, OSError, ValueError):
+        raise InputError(f"{path} is damaged: it is not a series of VTU files") from None
+    for row in rows:
         match = NAME.fullmatch(row.get("file", ""))
         if match:
             step_files.append(TimeStepFile(match["part"], int(match["cycle"]), float(row.get("timestep", "nan"))))

@@ -19,7 +19,7 @@ import numpy as np
 
 from ..core.errors import ConvergenceError, InputError, StorageError
 from ..core.optional import optional
-from ..files.atomic import replacing, write_bytes, write_json
+from ..files.atomic import replacing, write_bytes, write_json, writing
 from ..files.history import History, read_history, table_text
 from ..files.images import write_volume
 from ..files.stl import write_stl
@@ -216,7 +216,8 @@ class RunFolder:
         """
         path, manifest = Path(path), new_manifest(case, seed, inputs or {}, sources or {})
         made_here = is_new(path)
-        old = None if made_here else earlier_manifest(path)
+        with writing(path):
+            old = None if made_here else earlier_manifest(path)
         make(path)
         held = lock(path)
         try:
@@ -455,7 +456,7 @@ def open_run(folder: str | Path) -> Results:
 def _undamaged(read: Callable[[Path], T], path: Path) -> T:
     try:
         return read(path)
-    except (ValueError, TypeError, AttributeError, IndexError):
+    except (ValueError, TypeError, AttributeError, IndexError, OSError, RecursionError):
         raise InputError(f"{path} is damaged: it cannot be read as the {path.stem} of a run") from None
 
 

@@ -59,7 +59,7 @@ def flaw_of(path: Path) -> str:
     try:
         if not read_outcome(path / "outcome.json"):
             return "outcome.json is missing"
-    except (OSError, ValueError, TypeError, AttributeError):
+    except (OSError, ValueError, TypeError, AttributeError, RecursionError):
         return "outcome.json is damaged"
     try:
         newest = load_checkpoint(path / "checkpoint")
