@@ -367,6 +367,25 @@ def test_the_page_of_the_kind_names_what_comes_out(name, whole):
     assert not [out for out in [*results.history, *results.outcome, *figures] if not named.fullmatch(out)]
 
 
+def test_a_checkpoint_comes_after_the_map_of_its_moment(case_of, tmp_path, monkeypatch):
+    """So that a run that is killed at any moment leaves no gap in the maps."""
+    save, n_maps, expected = driver.RunFolder.save_checkpoint, [], []
+
+    def saving(self, number, arrays, scalars, content):
+        maps = [self.path / "fields" / f"{part}-{n:04d}.vtu" for part, n, _ in content["series"]["fields"]]
+        assert all(path.is_file() for path in maps)
+        n_maps.append(len(maps))
+        hours = self.history()["time_h"][content["history"][0] - 1]
+        expected.append(1 + int(hours / 30.0 + 1e-9))  # every 30 h
+        save(self, number, arrays, scalars, content)
+
+    monkeypatch.setattr(driver.RunFolder, "save_checkpoint", saving)
+    monkeypatch.setattr(driver, "CHECKPOINT_SECONDS", 0.0)
+    cicatrix.simulate(case_of("wound"), tmp_path / "run")
+    assert n_maps == expected
+    assert n_maps[-1] == 3
+
+
 def test_one_interval_between_checkpoints(case_of, tmp_path, monkeypatch):
     """With an interval of 0 every state is saved; with an endless one the last state alone."""
     saved = []

@@ -63,7 +63,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as error:
         if error.errno not in DISK_AT_FAULT:
             return _report_fault(error)
-        return _report_error(writing_error(error.filename or "a file", error))
+        return _report_error(writing_error(error.filename2 or error.filename or "a file", error))
     except Exception as error:
         return _report_fault(error)
     finally:

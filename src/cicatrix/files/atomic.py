@@ -27,7 +27,7 @@ PLACE_AT_FAULT = {
     errno.EACCES: "there is no permission to write there; name another folder",
     errno.EPERM: "there is no permission to write there; name another folder",
     errno.ENAMETOOLONG: "the name is too long; give a shorter one",
-    errno.ENOENT: "its folder was removed; name a folder that stays",
+    errno.ENOENT: "its folder does not exist or was removed; name another one",
     errno.ENOTDIR: "a file is in the place of one of its folders; move that file, or name another folder",
     errno.EEXIST: "a file is in the place of one of its folders; move that file, or name another folder",
     errno.EISDIR: "a folder is in its place; move that folder, or name another one",

@@ -399,7 +399,7 @@ class RunFolder:
         if isinstance(error, InputError) and self._made_here and self._last_cycle is None:
             shutil.rmtree(self.path, ignore_errors=True)
             return error
-        error = _with_advice(error)
+        error = _with_advice(error) if error else None
         try:
             if not self.already_finished:
                 self._close_with(error)
@@ -471,5 +471,5 @@ def plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
-def _with_advice(error: BaseException | None) -> BaseException | None:
+def _with_advice(error: BaseException) -> BaseException:
     return StorageError(f"{error}, then run again with --resume") if isinstance(error, StorageError) else error
