@@ -3,6 +3,7 @@
 import errno
 import json
 import os
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -17,6 +18,7 @@ from cicatrix.files import atomic
 from cicatrix.files.history import History
 from cicatrix.files.images import write_volume
 from cicatrix.geometry.volume import Volume
+from cicatrix.runs import folders
 from cicatrix.runs.checkpoints import load_checkpoint, save_checkpoint
 from cicatrix.runs.kind import Fields
 from cicatrix.runs.manifest import read_manifest
@@ -346,6 +348,25 @@ def test_names_of_folders_that_cannot_be(name, says, tmp_path):
     with pytest.raises(InputError, match=says) as error:
         go(tmp_path / name)
     assert len(str(error.value)) < 1000
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no flock")
+def test_a_disk_without_locks_and_without_flushes_of_folders(whole, tmp_path, monkeypatch):
+    """As some network disks are."""
+    sync = os.fsync
+
+    def of_files(handle):
+        if stat.S_ISDIR(os.fstat(handle).st_mode):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        sync(handle)
+
+    def unlocked(*_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(os, "fsync", of_files)
+    monkeypatch.setattr(folders.fcntl, "flock", unlocked)
+    go(tmp_path / "run")
+    assert bytes_of(tmp_path / "run") == whole
 
 
 FILES = 'kind = "automaton"\n[lattice]\nsize = [96, 96]\n[wound]\nshape = "disc"\nradius_um = 200.0\n'

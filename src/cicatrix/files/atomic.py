@@ -33,6 +33,7 @@ PLACE_AT_FAULT = {
     errno.EISDIR: "a folder is in its place; move that folder, or name another one",
     errno.EINVAL: "the name is not one that this disk can hold; give another one",
 }
+UNSYNCED_FOLDERS = (errno.EINVAL, errno.ENOTSUP, errno.EBADF)  # of network disks that flush files alone
 TEMPORARY = ".partial-"  # a prefix, so that the suffix is still that of the format
 
 
@@ -106,5 +107,8 @@ def _force_to_disk(path: Path) -> None:
     handle = os.open(path, os.O_RDWR if path.is_file() else os.O_RDONLY)
     try:
         os.fsync(handle)
+    except OSError as error:
+        if path.is_file() or error.errno not in UNSYNCED_FOLDERS:
+            raise
     finally:
         os.close(handle)
