@@ -1,8 +1,11 @@
 """A disk that is full, files changed by hand, odd manifests: each is a sentence, or costs one checkpoint."""
 
+import contextlib
 import errno
 import json
 import os
+import re
+import shutil
 import stat
 import subprocess
 import sys
@@ -212,7 +215,9 @@ MANIFESTS = {
     "[" * 50_000: lambda manifest: "[" * 50_000,
     "seconds": put(seconds=None),
     "seconds.heal": put(seconds={"heal": None}),
-    "seconds.heal.wall": put(seconds={"heal": {"wall": float("nan"), "cpu": 1.0}}),
+    "seconds.heal.wall": put(seconds={"heal": {"wall": "long", "cpu": 1.0}}),
+    "9": put(seconds={"heal": {"wall": float("nan"), "cpu": 1.0}}),
+    "1e400": lambda manifest: json.dumps(manifest).replace('"seed": 1', '"seed": 1e400'),
     "notes": put(notes=None),
     "libraries": put(libraries=7),
     "inputs.mask": put(inputs={"mask": None}),
@@ -263,6 +268,14 @@ def test_a_finished_run_whose_history_was_changed_is_refused(tmp_path):
     history.write_text(history.read_text().replace("\n1,", "\n2,"))
     with pytest.raises(InputError, match=r"history\.csv no longer begins with the 5 rows"):
         go(tmp_path / "run")
+
+
+def test_rows_after_the_end_of_a_finished_run_are_removed(whole, tmp_path):
+    go(tmp_path / "run")
+    with (tmp_path / "run" / "history.csv").open("a") as stream:
+        stream.write("5,0.1\n")
+    go(tmp_path / "run")
+    assert bytes_of(tmp_path / "run") == whole
 
 
 def test_a_finished_run_keeps_one_checkpoint(whole, tmp_path):
@@ -471,3 +484,41 @@ def test_a_history_goes_on_from_its_mark_alone(tmp_path):
 
 def test_errors_of_the_disk_are_errors_of_the_program():
     assert issubclass(StorageError, CicatrixError)
+
+
+def damaged(content, rng):
+    """Return bytes with a fault: flipped, cut, filled, emptied, doubled, or a JSON value replaced."""
+    at = int(rng.integers(len(content)))
+    odd = [b"null", b"5", b"[]", b"{}", b'"x"', b"NaN", b"-1", b"1e400", b"\xff\xfe", b"\0" * 9][rng.integers(10)]
+    values = [match.span() for match in re.finditer(rb"(?<=: )[^\n]+?(?=,?\n)", content)] or [(at, at + 1)]
+    start, end = values[rng.integers(len(values))]
+    return [
+        content[:at] + bytes([content[at] ^ 1 << rng.integers(8)]) + content[at + 1 :],
+        content[:at],
+        content[:at] + odd + content[at:],
+        odd,
+        b"",
+        content + content[at:],
+        content[:start] + odd + content[end:],
+    ][rng.integers(7)]
+
+
+@pytest.mark.parametrize("after", [3, None], ids=["stopped", "finished"])
+@pytest.mark.parametrize(
+    "name",
+    ["manifest.json", "history.csv", "outcome.json", "checkpoint/state-000003.json", "checkpoint/state-000003.npz"],
+)
+def test_damage_at_random_is_a_sentence_or_mended(name, after, whole, tmp_path):
+    rng, kept = np.random.default_rng(list(name.encode())), tmp_path / "kept"
+    go(kept) if after is None else stopped(kept, after)
+    n_mended = 0
+    for n in range(20):
+        run = shutil.copytree(kept, tmp_path / f"run-{n}")
+        content = (kept / name).read_bytes() if (kept / name).is_file() else b"{}\n"
+        (run / name).write_bytes(damaged(content, rng))
+        with contextlib.suppress(InputError):
+            go(run)
+            left = bytes_of(run)
+            assert {file: left[file] for file in whole} == whole
+            n_mended += 1
+    assert n_mended or (name, after) == ("history.csv", None)  # a finished run has no checkpoint before

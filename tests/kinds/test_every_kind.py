@@ -22,6 +22,7 @@ from cicatrix.runs import driver
 from cicatrix.runs.kind import Simulation
 from cicatrix.runs.progress import Progress
 from cicatrix.runs.results import open_run
+from cicatrix.runs.resuming import flaw_of
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PAGES = Path(__file__).parents[2] / "docs" / "kinds"
@@ -242,6 +243,7 @@ def test_a_run_leaves_what_every_run_leaves(name, whole):
     manifest, folder = results.manifest, results.folder
     assert manifest["status"]["state"] == "finished"
     assert manifest["status"]["sentence"].endswith(".")
+    assert not flaw_of(folder)  # the last checkpoint is that of the last row
     assert manifest["case"]["kind"] == name.split()[0]
     assert manifest["inputs"].keys() == {key for key in manifest["inputs"] if manifest["inputs"][key]["sha256"]}
     kind = simulation_type(name.split()[0])

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import platform
 from collections.abc import Iterator, Mapping
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Literal
 
-from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError
 
 from ..core.errors import InputError
 from ..core.threads import threads_of_libraries
@@ -69,7 +70,7 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
     if not path.is_file():
         return None
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+        content = json.loads(path.read_text(encoding="utf-8"), parse_constant=_finite, parse_float=_finite)
     except (ValueError, OSError, RecursionError):
         raise InputError(f"{path} cannot be read as JSON; it is not the manifest of a run") from None
     if not isinstance(content, dict):
@@ -80,14 +81,22 @@ def read_manifest(folder: Path) -> dict[str, Any] | None:
         raise InputError(f"{path} is not the manifest of a run: {_fault(error)}") from None
 
 
+def _finite(text: str) -> float:
+    """Return a number of JSON, which knows no NaN and no infinity."""
+    number = float(text)
+    if not math.isfinite(number):
+        raise ValueError(f"{text} is no number of JSON")
+    return number
+
+
 class _Status(BaseModel):
     state: Literal["running", "finished", "failed", "interrupted"]
     sentence: str
 
 
 class _Spent(BaseModel):
-    wall: FiniteFloat
-    cpu: FiniteFloat
+    wall: float
+    cpu: float
 
 
 class _Manifest(BaseModel):

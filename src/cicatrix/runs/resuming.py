@@ -65,7 +65,12 @@ def flaw_of(path: Path) -> str:
         newest = load_checkpoint(path / "checkpoint")
     except InputError:  # nothing is left to compare with
         return ""
-    return doubt_of(path, newest) if newest else ""
+    if newest is None:
+        return ""
+    doubt, history = doubt_of(path, newest), path / "history.csv"
+    if not doubt and history.is_file() and history.stat().st_size > history_of(newest).size:
+        return "history.csv has rows that were not written"
+    return doubt
 
 
 def read_outcome(path: Path) -> dict[str, Quantity]:
