@@ -176,9 +176,9 @@ class _Writer:
     def save(self) -> None:
         """Write a checkpoint of the last state from which a run can be resumed, unless it is saved already."""
         mark = self._mark
-        if mark is None or not self.simulation.is_mark(
-            mark.state
-        ):  # interrupted after a step and before its state came
+        if mark is None:
+            return
+        if not self.simulation.is_mark(mark.state):  # interrupted after a step and before its state came
             return
         self.folder.save_checkpoint(mark.number, *self.simulation.pack(mark.state), mark.content)
         self._mark, self._saved_at = None, time.perf_counter()
