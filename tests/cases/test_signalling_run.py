@@ -146,7 +146,7 @@ REFUSED = {
         'reaction "r1" has the rule "A && C => B", which does not',
     ),
     "unknown": ({"reactions": REACTIONS.replace("!C", "!c1")}, [], 'reaction "r1" names the unknown species "c1"'),
-    "ec50": ({"reactions": REACTIONS.replace("0.5,y", "0.7,y")}, [], 'reaction "r2": ec50 must be above 0 and below'),
+    "ec50": ({"reactions": REACTIONS.replace("0.5,y", "1.7,y")}, [], 'reaction "r2": ec50 must be above 0 and below 1'),
     "text": ({"species": SPECIES.replace("0.2", "low")}, [], 'row 2, column y_init: "low" is not a number'),
     "tau": ({"species": SPECIES.replace("0,0.5,2", "0,0.5,0")}, [], 'species "C": tau_h must be above 0; got 0'),
     "tau below 0": (
@@ -161,9 +161,9 @@ REFUSED = {
     ),
     "start": ({"species": SPECIES.replace("0.2", "-0.2")}, [], 'species "A": y_init must be at least 0; got -0.2'),
     "column": (
-        {"species": SPECIES.replace("tau_h", "tau")},
+        {"species": SPECIES.replace("tau_h", "lag")},
         [],
-        'column tau_h is missing (is it "tau"?); there are id, y_init, y_max, tau',
+        "column tau_h is missing; there are id, y_init, y_max, lag",
     ),
     "ragged": (
         {"species": SPECIES.replace("B,1,1,1", "B,1,1")},

@@ -45,6 +45,31 @@ def test_activation_is_0_half_and_whole(w, n, ec50):
         assert driven(law, A=x)["B"] == pytest.approx(printed(x, w, n, ec50), rel=1e-13)
 
 
+@pytest.mark.parametrize(("n", "ec50"), [(1.25, 0.6), (1.4, 0.7), (1.0, 0.999), (3.0, 0.95)])
+def test_above_one_half_act_is_as_printed_on_0_to_1(n, ec50):
+    """Its pole, where K^n + x^n = 0, is above 1."""
+    assert ((ec50**n) / (2 * ec50**n - 1)) ** (1 / n) > 1.0
+    law = network("A => B", n=n, ec50=ec50, weight=0.8)
+    for x in (0.0, 0.01, 0.3, ec50, 0.9, 1.0):
+        assert driven(law, A=x)["B"] == pytest.approx(printed(x, 0.8, n, ec50), rel=1e-12, abs=1e-15)
+    for x in (1.01, 1.5, 40.0):  # beyond it counts as 1, at the pole and behind it too
+        assert driven(law, A=x)["B"] == pytest.approx(0.8, rel=1e-5)
+    slope = float(jax.grad(lambda x: law.activation(jnp.array([x, 0.0, 0.0, 0.0]))[1])(1.0))
+    assert slope == pytest.approx((printed(1.0, 0.8, n, ec50) - printed(1 - 1e-7, 0.8, n, ec50)) / 1e-7, rel=1e-3)
+
+
+def test_at_one_half_act_is_the_power():
+    """By hand: w (1 - H) x^n / (H + (1 - 2 H) x^n) with H = 1/2 is w x^n, the limit of the printed function."""
+    law = network("A => B", n=2.0, ec50=0.5**0.5, weight=0.8)
+    for x in (0.2, 0.5**0.5, 1.0):
+        assert driven(law, A=x)["B"] == pytest.approx(0.8 * x**2, rel=1e-12)
+
+
+def test_a_species_above_1_is_told_where_act_has_a_pole():
+    law = network("A => B", "C => B", n=1.25, ec50=[0.6, 0.5], y_max=[2.0, 1.0, 3.0, 1.0])
+    assert law.saturating(law.y_max) == ("A",)
+
+
 def test_gates_by_hand():
     h = printed(0.3, 1.0, 1.4, 0.6), printed(0.8, 1.0, 1.4, 0.6)
     assert driven(network("A & B => C"), A=0.3, B=0.8)["C"] == pytest.approx(h[0] * h[1])
@@ -133,6 +158,30 @@ def test_rules_are_read():
     assert parse_rule("=> TGFB").is_input
 
 
+@pytest.mark.parametrize(
+    "text",
+    [
+        "CREB & !CBP => IL6",
+        "CREB + !CBP => IL6",
+        "CREB AND NOT CBP -> IL6",
+        "CREB&!CBP==>IL6",
+        "CREB & ! CBP \u21d2 IL6",
+    ],
+)
+def test_rules_are_read_as_netflux_writes_them(text):
+    assert str(parse_rule(text)) == "CREB & !CBP => IL6"
+
+
+def test_species_may_be_called_like_words():
+    rule = parse_rule("ANDROGEN & NOTCH => ORAI1")
+    assert (rule.factors, rule.target) == ((RuleFactor("ANDROGEN", False), RuleFactor("NOTCH", False)), "ORAI1")
+
+
+def test_reactions_with_the_same_rule_are_found():
+    law = network("A & !B => C", "A => C", "!B & A => C", "=> A", "A => B")
+    assert [pair[:2] for pair in law.wiring.repeated] == [("r0", "r2")]
+
+
 RULES = {
     "TGFB && smad3 => x": 'at column 7: a species expected, found "&" (AND is a single &)',
     "TGFB smad3 => x": 'at column 6: "&" or "=>" expected, found "smad3"',
@@ -142,7 +191,10 @@ RULES = {
     "": "at column 1: a species expected, found its end",
     "TGFB => a & b": 'at column 11: one target and then the end of the rule expected, found "&"',
     "!!a => b": 'at column 2: a species expected, found "!"',
-    "a -> b": 'at column 3: "&" or "=>" expected, found "-" (an arrow is written =>)',
+    "a = b": 'at column 3: "&" or "=>" expected, found "=" (an arrow is written =>)',
+    "a OR b => c": 'at column 3: "&" or "=>" expected, found "OR" (OR is two reactions with the same target)',
+    "TGF-b => c": 'at column 4: "&" or "=>" expected, found "-" (a species is written with letters, digits and _)',
+    "NOT => c": 'at column 5: a species expected, found "=>"',
     "a => !b": 'at column 6: a species expected, found "!"',
 }
 
@@ -158,11 +210,7 @@ FAULTS = {
     "unknown": (["AA => B"], {}, 'reaction "r0" names the unknown species "AA"; did you mean "A"?'),
     "far": (["xyz => B"], {}, 'reaction "r0" names the unknown species "xyz"; known: A, B, C, D'),
     "two inputs": (["=> A", "=> A"], {}, 'input "A" is listed twice'),
-    "ec50": (
-        ["A => B"],
-        {"ec50": 0.7},
-        'reaction "r0": ec50 must be above 0 and below 0.5^(1/n) = 0.6095 for n = 1.4; got 0.7',
-    ),
+    "ec50": (["A => B"], {"ec50": 1.0}, 'reaction "r0": ec50 must be above 0 and below 1; got 1'),
     "ec50 of 0": (["A => B"], {"ec50": 0.0}, 'reaction "r0": ec50 must be above 0 and below'),
     "n": (["A => B", "B => C"], {"n": [2.0, 0.9]}, 'reaction "r1": n must be in [1, 50]; got 0.9'),
     "weight": (["A => B"], {"weight": 1.5}, 'reaction "r0": weight must be in [0, 1]; got 1.5'),

@@ -32,6 +32,13 @@ def results(law: RateLaw, states: Array, before: Array, inputs: Array, times: Ar
     return jnp.concatenate([y, law.observe(y, inputs, times)], axis=-1)
 
 
+@eqx.filter_jit
+def rate_and_jacobian(law: RateLaw, inputs: Array, y: Array) -> tuple[Array, Array]:
+    """Return dy/dt (n_species,) at time 0 and its derivative with respect to the state (n_species, n_species)."""
+    bound = law.under(inputs)
+    return bound.rate(y), jax.jacfwd(bound.rate)(y)
+
+
 def end_state(law: RateLaw, inputs: Array, start: Array, corners: Array, accuracy: Accuracy) -> Array:
     """Return the state (n_species,) at the last of ``corners`` (n + 1,) [s], with inputs (n, n_inputs) constant between them.
 

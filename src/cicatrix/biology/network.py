@@ -14,6 +14,7 @@ from ..core.law import Law, param
 from .wiring import Wiring
 
 TINY = 1e-250  # lower limit of x in x^n = exp(n log x), negligible like its powers; exp and log are vectorised, powers are not
+BEYOND = 1e-6  # share by which x^n may exceed 1 where act has a pole, so that act is smooth at 1
 Inhibition = Literal["complement", "weighted"]
 
 
@@ -86,8 +87,11 @@ class HillNetwork(Law):
 
     Source: Kraeutler, Soltis & Saucerman, BMC Systems Biology 4:157 (2010), as in the cardiac fibroblast network of Zeigler et
     al., Journal of Molecular and Cellular Cardiology 94:72-81 (2016). Differences from the source: act is computed as
-    :math:`w (1 - E^n) x^n / (E^n + (1 - 2 E^n) x^n)`, which is equal but avoids the quotients; it is not cut off at w for x > 1
-    (y_max > 1); negative x, which can arise from solver errors, counts as 0. The product over :math:`w^{m-1}` is formed
+    :math:`w (1 - E^n) x^n / (E^n + (1 - 2 E^n) x^n)`, which is equal but avoids the quotients, and is :math:`w x^n` for
+    :math:`E^n = 1/2`, where B and K are infinite. For :math:`E^n > 1/2` the function has a pole at
+    :math:`x = (E^n / (2 E^n - 1))^{1/n} > 1`; it is smooth on [0, 1], and its argument is cut off just above 1, as the value is
+    in the source's program. For smaller E it is not cut off for x > 1 (y_max > 1).
+    Negative x, which can arise from solver errors, counts as 0. The product over :math:`w^{m-1}` is formed
     without division by a power of a weight that may be 0, wherever its limit exists.
 
     Parameters
@@ -100,7 +104,7 @@ class HillNetwork(Law):
         Time constants of the activities.
     weight, n, ec50 : (..., n_reactions) array [1]
         Parameters of every reaction: weight in [0, 1]; Hill exponent of at least 1, since the slope at 0 is infinite below;
-        half-maximal activity above 0 and below :math:`2^{-1/n}` (0.6095 for n = 1.4), so that B and K^n are above 0.
+        half-maximal activity above 0 and below 1.
     inhibition : str
         "complement": NOT is 1 - act, as printed; an inhibited reaction of small weight then activates its target almost fully,
         since act <= w. "weighted": NOT is w - act, as in the program Netflux; equal to 1 - act for w = 1, and 0 for w = 0.
@@ -128,20 +132,22 @@ class HillNetwork(Law):
         _check("tau", self.tau, self.tau > 0.0, "above 0 s", "species", species)
         _check("weight", self.weight, (self.weight >= 0.0) & (self.weight <= 1.0), "in [0, 1]", "reaction", reactions)
         _check("n", self.n, (self.n >= 1.0) & (self.n <= 50.0), "in [1, 50]", "reaction", reactions)
-        self._check_ec50()
+        _check("ec50", self.ec50, (self.ec50 > 0.0) & (self.ec50 < 1.0), "above 0 and below 1", "reaction", reactions)
         if self.inhibition == "complement":
             is_finite = (self.weight > 0.0) | (self.wiring.n_negated < 2)
             words = "above 0 in an AND of two inhibitors or more, which is divided by it"
             _check("weight", self.weight, is_finite, words, "reaction", reactions)
 
-    def _check_ec50(self) -> None:
-        most = 0.5 ** (1.0 / self.n)
-        good = (self.ec50 > 0.0) & (self.ec50 < most)
-        if not np.all(good):
-            worst = tuple(np.argwhere(~np.broadcast_to(good, np.broadcast_shapes(good.shape, self.ec50.shape)))[0])
-            n = np.broadcast_to(self.n, good.shape)[worst]
-            words = f"above 0 and below 0.5^(1/n) = {0.5 ** (1.0 / n):.4g} for n = {n:g}"
-            _check("ec50", self.ec50, good, words, "reaction", self.wiring.reactions)
+    def saturating(self, most: np.ndarray) -> tuple[str, ...]:
+        """Return the species above 1, by largest activities (..., n_species) [1], that a reaction counts as 1 there.
+
+        Those are reactions whose act has a pole above 1.
+        """
+        species, reaction, _ = self.wiring.edges
+        is_cut = (np.asarray(self.ec50) ** np.asarray(self.n) > 0.5)[..., reaction]
+        is_cut = is_cut & (most[..., species] > 1.0)
+        which = species[is_cut.reshape(-1, len(species)).any(axis=0)]
+        return tuple(self.species[k] for k in np.unique(which))
 
     @property
     def species(self) -> tuple[str, ...]:
@@ -180,7 +186,8 @@ class HillNetwork(Law):
     def under(self, inputs: Array | None = None) -> HillRates:
         """Return the rates with fixed inputs (..., n_inputs) [1]; terms that do not depend on the state are computed once."""
         _, reaction, is_negated = self.wiring.edges
-        weight, n, half = self._weights(inputs), jnp.asarray(self.n), jnp.asarray(self.ec50) ** self.n
+        weight, n = self._weights(inputs), jnp.asarray(self.n)
+        half = jnp.maximum(jnp.asarray(self.ec50) ** self.n, TINY)
         is_plain = self.inhibition == "weighted" or not is_negated.any()
         return HillRates(
             self.wiring,
@@ -189,6 +196,7 @@ class HillNetwork(Law):
             _first(n)[reaction],
             _first(half / (1.0 - half))[reaction],
             _first((1.0 - 2.0 * half) / (1.0 - half))[reaction],
+            _first(_most(half))[reaction],
             None if is_plain else _first(weight)[reaction[is_negated]],
             _first(weight if is_plain else _power(weight, 1 - self.wiring.n_negated)),
         )
@@ -232,6 +240,8 @@ class HillRates(eqx.Module):
     offset: Array
     slope: Array
     """Coefficients of act / w = x^n / (offset + slope x^n) of every edge: ``offset`` and ``slope`` (n_edges, ...)."""
+    most: Array
+    """Largest x^n of every edge (n_edges, ...): just above 1 where act has a pole, else infinite."""
     weight: Array | None
     """Weight of every negated edge if NOT is 1 - act; None if NOT is w - act."""
     scale: Array
@@ -254,7 +264,7 @@ class HillRates(eqx.Module):
         """Return the activation F (n_species, ...) [1] at activities (n_species, ...) [1]; both get ``width`` batch axes."""
         species, _, is_negated = self.wiring.edges
         log = jnp.log(jnp.maximum(_wide(y, width), TINY))
-        x = jnp.exp(_wide(self.n, width) * _rows(log, species))
+        x = jnp.minimum(jnp.exp(_wide(self.n, width) * _rows(log, species)), _wide(self.most, width))
         hill = x / (_wide(self.offset, width) + _wide(self.slope, width) * x)
         given, taken = hill[: (~is_negated).sum()], hill[(~is_negated).sum() :]
         if self.weight is not None:
@@ -263,6 +273,12 @@ class HillRates(eqx.Module):
         factor = jnp.concatenate([jnp.broadcast_to(part, (len(part), *shape)) for part in (given, 1.0 - taken)])
         flow = _wide(self.scale, width) * _gathered_product(factor, self.wiring.factors_of)
         return 1.0 - _gathered_product(1.0 - flow, self.wiring.reactions_into)
+
+
+def _most(half: Array) -> Array:
+    """Return the largest x^n of every reaction from E^n, at which the denominator of act is less than 1 by :data:`BEYOND`."""
+    falls = (2.0 * half - 1.0) / (1.0 - half)
+    return jnp.where(half > 0.5, 1.0 + BEYOND / jnp.maximum(falls, 1.0), jnp.inf)
 
 
 def _power(weight: Array, exponent: np.ndarray) -> Array:

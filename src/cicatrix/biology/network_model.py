@@ -18,7 +18,7 @@ class NetworkModel(NamedTuple):
     inputs: np.ndarray
     """Values of the inputs given in the network's file (n_inputs,)."""
     high: np.ndarray
-    """Upper limit of each state (n_species,): the maximum activity; for SBML twice the initial value, or 1 if that is 0."""
+    """Upper limit of each state (n_species,): the maximum activity; without meaning where the states are not normalised."""
     slowest_h: float | None
     """Largest time constant of the network [h]; None if its file declares no time constants."""
     is_normalised: bool

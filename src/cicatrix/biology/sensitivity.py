@@ -20,14 +20,18 @@ Sensitivities = dict[str, np.ndarray]
 """Kind of parameter (a field of the law, or "input") -> dy/dp (n_species, n parameters)."""
 
 
-def of_steady_state(law: RateLaw, inputs: np.ndarray, y: np.ndarray) -> Sensitivities | None:
+def of_steady_state(
+    law: RateLaw, inputs: np.ndarray, y: np.ndarray, scale: np.ndarray | float = 1.0
+) -> Sensitivities | None:
     """Return derivatives of a steady state (n_species,) with respect to parameters p, by implicit differentiation: -J^-1 df/dp.
 
     Return None if J is singular, for example if quantities are conserved: the steady state then depends on the initial state.
+    ``scale`` (n_species,) are the magnitudes of the species, by which J is divided before it is judged.
     """
     J, by = _derivatives(law, jnp.asarray(inputs), jnp.asarray(y))
     J = np.asarray(J)
-    if 1.0 / np.linalg.cond(J) < CONSERVED:
+    sizes = np.maximum(scale, np.abs(y))
+    if not np.isfinite(J).all() or 1.0 / np.linalg.cond(J * sizes / sizes[:, None]) < CONSERVED:
         return None
     return {kind: -np.linalg.solve(J, np.asarray(columns)) for kind, columns in by.items()}
 

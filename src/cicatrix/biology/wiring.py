@@ -87,6 +87,18 @@ class Wiring:
         return np.array([sum(factor.is_negated for factor in rule.factors) for rule in self.rules], int)
 
     @cached_property
+    def repeated(self) -> tuple[tuple[str, str, Rule], ...]:
+        """Pairs of reactions with the same factors and the same target, each with the rule: the later one often is a mistake."""
+        first: dict[tuple[frozenset, str], str] = {}
+        pairs = []
+        for name, rule in zip(self.reactions, self.rules):
+            key = (frozenset(rule.factors), rule.target)
+            if key in first:
+                pairs.append((first[key], name, rule))
+            first.setdefault(key, name)
+        return tuple(pairs)
+
+    @cached_property
     def undriven(self) -> tuple[str, ...]:
         """Species that no reaction acts on: they decay to 0."""
         targets = {rule.target for rule in self.rules}

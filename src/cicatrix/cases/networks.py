@@ -14,12 +14,14 @@ from .table import Table
 class NetworkTable(Table):
     """Files of the network: two CSV files, or one SBML file."""
 
-    species: Path | None = None  # CSV file of species: id, y_init, y_max, tau_h
-    reactions: Path | None = None  # CSV file of reactions: id, rule, weight, n, ec50
-    inhibition: Literal["complement", "weighted"] = "complement"  # NOT is 1 - activity, or weight - activity
+    species: Path | None = None  # CSV file of species: id, y_init, y_max, tau_h; or a sheet of Netflux
+    reactions: Path | None = None  # CSV file of reactions: id, rule, weight, n, ec50; or a sheet of Netflux
+    inhibition: Literal["complement", "weighted"] | None = (
+        None  # NOT is 1 - activity (default), or w - activity (Netflux's)
+    )
     sbml: Path | None = None  # SBML file, instead of the two CSV files
     time_unit: Literal["s", "min", "h", "d"] | None = (
-        None  # unit of time in the SBML file; default: what it states, else s
+        None  # unit of time in the SBML file (default: what it states, else s), or of a column tau (default: h)
     )
 
     @model_validator(mode="after")

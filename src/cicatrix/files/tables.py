@@ -86,7 +86,7 @@ class CsvTable:
         }
 
 
-def read_table(path: Path, names: Sequence[str] = ()) -> CsvTable:
+def read_table(path: Path, names: Sequence[str] = (), spellings: Sequence[str] = ()) -> CsvTable:
     """Read a table.
 
     Parameters
@@ -95,6 +95,8 @@ def read_table(path: Path, names: Sequence[str] = ()) -> CsvTable:
         A text file.
     names : sequence of str
         Columns that the caller looks for; they tell the row of names from a title above it, and separators apart.
+    spellings : sequence of str
+        Other names under which the caller accepts columns.
 
     Raises
     ------
@@ -106,7 +108,7 @@ def read_table(path: Path, names: Sequence[str] = ()) -> CsvTable:
         notes.append("The last row of the table has no line break at its end: check that the file is whole.")
     directive = DIRECTIVE.fullmatch(text.partition("\n")[0])
     text = text if directive is None else text.replace(directive[0], "", 1)
-    known = {name.lower() for name in names}
+    known = {name.lower() for name in (*names, *spellings)}
     records = list(_records(path, text, directive[1] if directive else _separator(text, known)))
     if not records:
         such = f", {', '.join(names)}" if names else ""

@@ -12,6 +12,7 @@ from xml.sax.saxutils import quoteattr
 import meshio
 import numpy as np
 
+from ..core.errors import InputError
 from .atomic import replacing, write_bytes
 
 SERIES = "series.pvd"

@@ -29,7 +29,8 @@ class Accuracy(NamedTuple):
     """Tolerances, method and maximum number of steps of a time integration."""
 
     relative: float = 1e-6
-    absolute: float = 1e-9
+    absolute: float | Array = 1e-9
+    """A number, or one for every entry of the state's last axis."""
     method: Method = "implicit"
     max_steps: int = 100_000
 

@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+import jax.numpy as jnp
 import numpy as np
 
+from ...biology.culprits import not_finite
 from ...biology.network_model import NetworkModel
+from ...biology.scales import magnitudes
 from ...biology.steady import N_TIMES, latin_hypercube
 from ...core.errors import InputError
 from ...core.units import seconds_from_hours
@@ -15,6 +18,8 @@ from ...numerics.ode import Accuracy
 from .case import SignallingCase
 
 STARTS, SLOWNESS = 30, 100.0  # defaults: random initial states; longest time to a steady state over the slowest time
+
+PER_STEP, LEAST_RELATIVE = 0.1, 1e-12  # share of the tolerances that a step may use; least relative error of a step
 
 
 class Chunk(NamedTuple):
@@ -28,10 +33,44 @@ class Chunk(NamedTuple):
     """Values of the inputs (n_inputs,)."""
 
 
-def accuracy_of(case: SignallingCase) -> Accuracy:
-    """Return the tolerances and method of time integration."""
+def accuracy_of(case: SignallingCase, scale: np.ndarray) -> Accuracy:
+    """Return the tolerances and method of time integration; absolute errors are relative to the scale (n_species,).
+
+    Each step is held to a share of the tolerances that the case asks for, since the errors of steps add up.
+    """
     asked = case.solver
-    return Accuracy(asked.relative_tolerance, asked.absolute_tolerance, asked.method, asked.max_steps)
+    relative = max(PER_STEP * asked.relative_tolerance, LEAST_RELATIVE)
+    absolute = jnp.asarray(PER_STEP * asked.absolute_tolerance * scale)
+    return Accuracy(relative, absolute, asked.method, asked.max_steps)
+
+
+def scale_of(case: SignallingCase, model: NetworkModel, laid: Sequence[Chunk]) -> np.ndarray:
+    """Return the magnitude of every species (n_species,): its maximum activity, or an estimate from the network's rates."""
+    if model.is_normalised:
+        return np.where(model.high > 0.0, model.high, 1.0)
+    inputs = {chunk.inputs.tobytes(): chunk.inputs for chunk in laid}.values()
+    return magnitudes(model.law, model.start, inputs, seconds_from_hours(case.time.duration_h))
+
+
+def begun(case: SignallingCase, model: NetworkModel) -> NetworkModel:
+    """Return the model with the start that it has under the inputs at time 0."""
+    start = model.law.begin(jnp.asarray(model.start), jnp.asarray(inputs_at(case, model, 0.0)))
+    return model._replace(start=np.asarray(start))
+
+
+def refuse_undefined(case: SignallingCase, model: NetworkModel) -> None:
+    """Check that the rates are finite numbers at the start.
+
+    Raises
+    ------
+    InputError
+        If one is not; the message names the reaction, rule or species.
+    """
+    fault = not_finite(model.law, inputs_at(case, model, 0.0), model.start, 0.0)
+    if fault:
+        raise InputError(
+            f"the network cannot start: at 0 h {fault}; give a start or parameters at which it is a number"
+        )
 
 
 def refuse_unknown(case: SignallingCase, model: NetworkModel) -> None:
@@ -103,15 +142,19 @@ def chunks(case: SignallingCase, model: NetworkModel) -> list[Chunk]:
     return laid
 
 
-def starts_of(case: SignallingCase, model: NetworkModel) -> np.ndarray:
-    """Return initial states of the search for steady states (n, n_species): the network's own, all low, all high, random."""
+def starts_of(case: SignallingCase, model: NetworkModel, scale: np.ndarray) -> np.ndarray:
+    """Return initial states of the search for steady states (n, n_species): the network's own, all low, all high, random.
+
+    A species of unlimited amount is drawn from 0 to twice its scale (n_species,).
+    """
     n = case.steady.starts
     if n is None:
         n = STARTS if model.is_normalised else 0
-    low = np.zeros_like(model.high)
-    ends = [low, model.high] if model.is_normalised else []
+    high = model.high if model.is_normalised else 2.0 * scale
+    low = np.zeros_like(high)
+    ends = [low, high] if model.is_normalised else []
     rng = np.random.Generator(np.random.Philox(case.seed))
-    return np.vstack([model.start, *ends, latin_hypercube(low, model.high, n, rng)])
+    return np.vstack([model.start, *ends, latin_hypercube(low, high, n, rng)])
 
 
 def longest_s(case: SignallingCase, model: NetworkModel) -> float:

@@ -88,8 +88,10 @@ class SignallingSolverTable(Table):
     """Method and accuracy of time integration."""
 
     method: Literal["implicit", "explicit"] = "implicit"  # implicit for stiff networks
-    relative_tolerance: Annotated[Number, bounds(least=1e-12, most=1e-2)] = 1e-6  # relative error of a time step
-    absolute_tolerance: Annotated[Number, bounds(least=1e-16, most=1.0)] = 1e-9  # absolute error of a time step
+    relative_tolerance: Annotated[Number, bounds(least=1e-12, most=1e-2)] = 1e-6  # relative error of the species
+    absolute_tolerance: Annotated[Number, bounds(least=1e-16, most=1.0)] = (
+        1e-9  # absolute error over a species' magnitude
+    )
     max_steps: Annotated[Integer, bounds(least=10, most=100_000_000)] = (
         100_000  # time steps between two changes of inputs
     )

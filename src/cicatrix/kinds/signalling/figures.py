@@ -19,11 +19,11 @@ MARKS = ("-", "--", ":", "-.")
 
 
 def courses_figure(
-    history: Mapping[str, np.ndarray], names: Sequence[str], inputs: Sequence[str], of_inputs: str = "input [1]"
+    history: Mapping[str, np.ndarray], names: Sequence[str], inputs: Sequence[str], unit: str = " [1]"
 ) -> Figure:
     """Draw all species over time, as lines or as a map.
 
-    Above them, draw the inputs that the case sets, on an axis labelled ``of_inputs``.
+    Above them, draw the inputs that the case sets. ``unit`` is written behind the labels of the axes.
     """
     tall = 0.26 * len(names) + 1.5 if len(names) > MAX_LINES else 5.0
     figure = Figure(figsize=(10, tall + (1.6 if inputs else 0.0)), layout="constrained")
@@ -33,26 +33,22 @@ def courses_figure(
     for name, colour in zip(inputs, _colours(len(inputs))):
         axes[0].step(time, history[f"input_{name}"], where="post", color=colour, label=name)
     if inputs:
-        axes[0].set_ylabel(of_inputs)
+        axes[0].set_ylabel(f"input{unit}")
         axes[0].grid(alpha=0.3)
         axes[0].legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False)
     states = np.array([history[name] for name in names])
     if len(names) > MAX_LINES:
-        _map_over_time(axes[-1], time, states, names)
+        _map_over_time(axes[-1], time, states, names, unit)
     else:
-        _lines_over_time(axes[-1], time, states, names)
+        _lines_over_time(axes[-1], time, states, names, unit)
     axes[-1].set_xlabel("time [h]")
     return figure
 
 
-def states_figure(found: SteadyStates, names: Sequence[str]) -> Figure:
+def states_figure(found: SteadyStates, names: Sequence[str], unit: str = " [1]") -> Figure:
     """Draw the activities in every steady state, with its stability and the number of initial states that reached it."""
     figure = Figure(figsize=(max(5.0, 0.42 * len(names) + 3.0), 0.5 * len(found.states) + 2.2), layout="constrained")
     ax = figure.subplots()
-    if not found.states:
-        ax.text(0.5, 0.5, "no steady state was found", ha="center", transform=ax.transAxes)
-        ax.set_axis_off()
-        return figure
     values = np.array([state.y for state in found.states])
     image = ax.imshow(values, aspect="auto", cmap="viridis", vmin=0.0)
     ax.set_xticks(range(len(names)), names, rotation=90, fontsize=8)
@@ -63,11 +59,11 @@ def states_figure(found: SteadyStates, names: Sequence[str]) -> Figure:
     ax.set_yticks(range(len(words)), words)
     if len(names) <= MAX_LINES:
         _write_values(ax, values)
-    figure.colorbar(image, ax=ax, label="activity [1]")
+    figure.colorbar(image, ax=ax, label=_quantity(unit))
     return figure
 
 
-def branches_figure(found: Mapping[float, SteadyStates], names: Sequence[str], over: str) -> Figure:
+def branches_figure(found: Mapping[float, SteadyStates], names: Sequence[str], over: str, unit: str = " [1]") -> Figure:
     """Draw the steady states of each species against an input: full marks are stable, open marks unstable."""
     columns = min(4, len(names))
     rows = -(-len(names) // columns)
@@ -83,7 +79,7 @@ def branches_figure(found: Mapping[float, SteadyStates], names: Sequence[str], o
         ax.set_title(name, fontsize=9)
         ax.grid(alpha=0.3)
     figure.supxlabel(f"input {over}")
-    figure.supylabel("steady activity [1]; open: unstable")
+    figure.supylabel(f"steady {_quantity(unit)}; open: unstable")
     return figure
 
 
@@ -116,27 +112,32 @@ def _sensitivity_map(rows: Sequence[Sequence[Any]]) -> tuple[list[str], list[str
     return [names[i] for i in order], outputs, values[order]
 
 
-def _lines_over_time(ax: Axes, time: np.ndarray, states: np.ndarray, names: Sequence[str]) -> None:
+def _quantity(unit: str) -> str:
+    """Return what the states of a network are called: activities if they have a unit, amounts in the model's own unit if not."""
+    return f"activity{unit}" if unit else "amount or concentration"
+
+
+def _lines_over_time(ax: Axes, time: np.ndarray, states: np.ndarray, names: Sequence[str], unit: str) -> None:
     for number, (name, values, colour) in enumerate(zip(names, states, _colours(len(names)))):
         ax.plot(time, values, MARKS[number // 10 % len(MARKS)], color=colour, label=name)
-    ax.set_ylabel("activity [1]")
+    ax.set_ylabel(_quantity(unit))
     ax.grid(alpha=0.3)
     ax.legend(loc="center left", bbox_to_anchor=(1.0, 0.5), frameon=False, fontsize=8)
 
 
-def _map_over_time(ax: Axes, time: np.ndarray, states: np.ndarray, names: Sequence[str]) -> None:
+def _map_over_time(ax: Axes, time: np.ndarray, states: np.ndarray, names: Sequence[str], unit: str) -> None:
     image = ax.pcolormesh(time, np.arange(len(names)), states, cmap="viridis", shading="nearest", rasterized=True)
     ax.set_yticks(range(len(names)), names, fontsize=7)
     ax.invert_yaxis()
-    ax.figure.colorbar(image, ax=ax, label="activity [1]")
+    ax.figure.colorbar(image, ax=ax, label=_quantity(unit))
 
 
 def _write_values(ax: Axes, values: np.ndarray) -> None:
     middle = 0.5 * values.max()
     for (i, k), value in np.ndenumerate(values):
-        ax.text(
-            k, i, f"{value:.2f}", ha="center", va="center", fontsize=7, color="white" if value < middle else "black"
-        )
+        text = f"{value:.2f}" if 0.01 <= abs(value) < 1000.0 or not value else f"{value:.1e}"
+        colour = "white" if value < middle else "black"
+        ax.text(k, i, text, ha="center", va="center", fontsize=7, color=colour)
 
 
 def _colours(n: int) -> list[Any]:

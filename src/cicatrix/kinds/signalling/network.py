@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from ...biology.network_model import NetworkModel
+from ...biology.roadrunner import DelegatedNetwork
 from ...core.errors import InputError
 from ...core.units import seconds_from_hours
 from ...files.networks import read_network
 from ...files.sbml import Changes, read_sbml
-from .build import refuse_unknown
+from .build import begun, refuse_undefined, refuse_unknown
 from .case import SignallingCase
 
 COLUMNS = ("step", "time_h")  # columns of history.csv before those of the species
@@ -27,7 +28,10 @@ def read_model(case: SignallingCase) -> NetworkModel:
     else:
         assert table.species is not None
         assert table.reactions is not None
-        path, model = table.species, read_network(table.species, table.reactions, table.inhibition)
+        path, model = (
+            table.species,
+            read_network(table.species, table.reactions, table.inhibition, table.time_unit, may_assume=True),
+        )
     for name in (*model.law.species, *model.law.shown):
         if name in COLUMNS or name.startswith("input_"):
             raise InputError(f'{path}: species "{name}" must have another name: history.csv has a column of this name')
@@ -46,7 +50,10 @@ def _changes(case: SignallingCase) -> Changes:
 def faults_of(case: SignallingCase) -> list[str]:
     """Check the network of a valid case and its use of names; return a list with the first fault, or an empty list."""
     try:
-        refuse_unknown(case, read_model(case))
+        model = read_model(case)
+        refuse_unknown(case, model)
+        if not isinstance(model.law, DelegatedNetwork):
+            refuse_undefined(case, begun(case, model))
     except InputError as error:
         return [str(error)]
     return []

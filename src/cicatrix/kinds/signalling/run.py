@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...biology.courses import integrate, results
+from ...biology.culprits import fastest, not_finite
 from ...biology.network_model import NetworkModel
 from ...biology.roadrunner import DelegatedNetwork
 from ...biology.sensitivity import INPUT, Sensitivities, of_end, of_steady_state
@@ -22,19 +23,27 @@ from ...runs.quantity import Quantity
 from .build import (
     Chunk,
     accuracy_of,
+    begun,
     chunks,
     corners,
     inputs_at,
     longest_s,
     outputs_of,
+    refuse_undefined,
     refuse_unknown,
     rounded,
+    scale_of,
     starts_of,
 )
 from .case import SignallingCase
 from .delegated import DelegatedRun
 from .figures import branches_figure, courses_figure, sensitivities_figure, states_figure
 from .network import read_model
+from .verdict import notes_of, outcomes_of, verdict_of
+
+BEYOND_ALL = (
+    1e30  # a species that would change by this multiple of its magnitude within the course is not one of nature
+)
 
 
 class NetworkState(NamedTuple):
@@ -70,13 +79,15 @@ class SignallingRun(Simulation[NetworkState]):
 
     def __init__(self, case: SignallingCase, context: Context | None = None) -> None:
         super().__init__(case, context)
-        self.model = read_model(case)
-        refuse_unknown(case, self.model)
-        self.notes = list(self.model.notes)
+        model = read_model(case)
+        refuse_unknown(case, model)
+        self.model = begun(case, model)
+        refuse_undefined(case, self.model)
+        self.notes = list(model.notes)
         self.chunks = chunks(case, self.model)
-        self.names = (*self.model.law.species, *self.model.law.shown)
-        start = self.model.law.begin(jnp.asarray(self.model.start), jnp.asarray(self.chunks[0].inputs))
-        self.model = self.model._replace(start=np.asarray(start))
+        self.names = (*model.law.species, *model.law.shown)
+        self.scale = scale_of(case, self.model, self.chunks)
+        self.accuracy = accuracy_of(case, self.scale)
 
     @classmethod
     def of(cls, case: SignallingCase) -> type[Simulation]:
@@ -111,7 +122,7 @@ class SignallingRun(Simulation[NetworkState]):
         times = seconds_from_hours(chunk.times_h)
         before = self.chunks[max(at.chunk - 1, 0)].inputs
         start = self.model.law.carried(*map(jnp.asarray, (at.y, before, chunk.inputs)))
-        done = integrate(self.model.law, jnp.asarray(chunk.inputs), start, jnp.asarray(times), accuracy_of(self.case))
+        done = integrate(self.model.law, jnp.asarray(chunk.inputs), start, jnp.asarray(times), self.accuracy)
         states, n_steps = np.asarray(done.y), at.n_steps + int(done.n_steps)
         values = self._results(states, chunk.inputs, chunk.times_h)
         rows = zip(chunk.times_h[1 : chunk.n_rows + 1], values[1:])
@@ -131,14 +142,30 @@ class SignallingRun(Simulation[NetworkState]):
         states, last = np.asarray(done.y), np.asarray(done.last)
         good = np.isfinite(states).all(axis=1)
         largest = int(np.argmax(np.abs(last)))
-        taken = f"solver.max_steps = {int(done.n_steps)} were taken" if done.out_of_steps else "the solver gave up"
-        hint = ' or take solver.method = "implicit"' if self.case.solver.method == "explicit" else ""
         return ConvergenceError(
             f"The network could not be followed beyond {hours_from_seconds(float(done.reached)):.6g} h, where "
-            f"{self.model.law.species[largest]} is largest, {last[largest]:.4g}: {taken}; if no state grows without bound, "
-            f"raise solver.max_steps{hint}.",
+            f"{self.model.law.species[largest]} is largest, {last[largest]:.4g}: "
+            f"{self._undefined_after(chunk, done) or self._too_fast(chunk, done)}.",
             [f"{t:.6g} h: largest {np.abs(y).max():g}" for t, y, ok in zip(chunk.times_h, states, good) if ok][-5:],
         )
+
+    def _undefined_after(self, chunk: Chunk, done: Solution) -> str | None:
+        """Name the formula that is not a number when or soon after the solver stopped, at the state that it reached."""
+        at, end = float(done.reached), float(seconds_from_hours(chunk.times_h[-1]))
+        faults = (
+            not_finite(self.model.law, chunk.inputs, np.asarray(done.last), time)
+            for time in (at, at + 1e-6 * (end - at))
+        )
+        return next((f"{fault} from there on" for fault in faults if fault), None)
+
+    def _too_fast(self, chunk: Chunk, done: Solution) -> str:
+        taken = f"solver.max_steps = {int(done.n_steps)} were taken" if done.out_of_steps else "the solver gave up"
+        hint = ' or take solver.method = "implicit"' if self.case.solver.method == "explicit" else ""
+        last, at = np.asarray(done.last), float(done.reached)
+        blamed, pace = fastest(self.model.law, chunk.inputs, last, at, self.scale)
+        if pace * seconds_from_hours(self.case.time.duration_h) > BEYOND_ALL:
+            return f"{blamed}, out of all proportion to its magnitude: check its parameters and units"
+        return f"{taken}, and {blamed}; if no state grows without bound, raise solver.max_steps{hint}"
 
     def rows(self, state: NetworkState) -> Iterator[Row]:
         """Return the rows of the chunk: species, and the inputs that the case sets."""
@@ -168,6 +195,8 @@ class SignallingRun(Simulation[NetworkState]):
         """Return steady states and sensitivities."""
         with self.context.progress.stage("steady states"):
             found = self._search(state.y)
+        if found:
+            self.notes += notes_of(found[None], self.model)
         with self.context.progress.stage("sensitivities"):
             return Analysis(found, self._differentiate(found))
 
@@ -179,11 +208,11 @@ class SignallingRun(Simulation[NetworkState]):
         if self.model.law.is_time_dependent:
             self.notes.append("The rates of the network depend on time, so it has no steady states.")
             return {}
-        starts = np.vstack([starts_of(self.case, self.model), end])
-        waiting, scale = longest_s(self.case, self.model), np.maximum(self.model.high, 1e-9)
+        starts = np.vstack([starts_of(self.case, self.model, self.scale), end])
+        waiting = longest_s(self.case, self.model)
         found = {}
         for number, (value, inputs) in enumerate(self._inputs_searched()):
-            found[value] = steady_states(self.model.law, inputs, starts, waiting, scale, accuracy_of(self.case))
+            found[value] = steady_states(self.model.law, inputs, starts, waiting, self.scale, self.accuracy)
             self.context.progress.update((number + 1) / (len(self.case.steady.values) + 1), "steady states")
         return found
 
@@ -199,7 +228,7 @@ class SignallingRun(Simulation[NetworkState]):
         asked, derivatives = self.case.sensitivity.at, {}
         if asked in ("steady", "both") and found:
             for number, state in enumerate(found[None].stable, 1):
-                by = of_steady_state(self.model.law, self.last_inputs, state.y)
+                by = of_steady_state(self.model.law, self.last_inputs, state.y, self.scale)
                 if by is None:
                     self.notes.append(
                         f"Steady state {number} has no derivatives: it depends on the values of conserved quantities."
@@ -210,27 +239,40 @@ class SignallingRun(Simulation[NetworkState]):
             at = corners(self.case)
             inputs = np.array([inputs_at(self.case, self.model, float(t)) for t in at[:-1]])
             times = seconds_from_hours(at)
-            derivatives["end"] = of_end(self.model.law, inputs, self.model.start, times, accuracy_of(self.case))
+            derivatives["end"] = of_end(self.model.law, inputs, self.model.start, times, self.accuracy)
         return derivatives
 
     def outcome(self, end: End[NetworkState]) -> dict[str, Quantity]:
         """Return the species at the end, and every steady state."""
-        names, hours = self.model.law.species, end.history["time_h"][-1]
+        hours = end.history["time_h"][-1]
         outcome = {"engine": Quantity("cicatrix", "", "program that integrated the network")}
         outcome["n_solver_steps"] = Quantity(end.state.n_steps, "1", "of the course")
         last = {name: float(end.history[name][-1]) for name in self.names}
         outcome["end"] = Quantity(last, "1", f"at {hours:g} h")
-        return outcome | _of_states(end.analysis.found, names, dict(zip(self.model.law.input_names, self.last_inputs)))
+        self._note_coarse(end.history)
+        found = end.analysis.found.get(None)
+        return outcome | (outcomes_of(found, self.model, self.last_inputs) if found else {})
+
+    def _note_coarse(self, history: Mapping[str, np.ndarray]) -> None:
+        """Note the species that stay so small that their absolute tolerance is coarser than the relative one."""
+        peaks = np.array([np.max(np.abs(history[name])) for name in self.model.law.species])
+        asked, is_seen = self.case.solver, (peaks > 0.0) & ~np.full(len(peaks), self.model.is_normalised)
+        is_coarse = asked.absolute_tolerance * self.scale > asked.relative_tolerance * peaks
+        for k in np.flatnonzero(is_seen & is_coarse):
+            self.notes.append(
+                f'"{self.model.law.species[k]}" stays below {peaks[k]:.2g}, far below the magnitude of {self.scale[k]:.2g} that '
+                f"was estimated for it: lower solver.absolute_tolerance if its digits matter."
+            )
 
     def tables(self, end: End[NetworkState]) -> Mapping[str, ResultTable]:
         """Return steady states and sensitivities, row by row."""
         found, derivatives = end.analysis
         tables = {}
-        if found:
+        if any(one.states for one in found.values()):
             tables["steady_states"] = ResultTable(*_states_table(found, self.model.law.species, self.case.steady.over))
-        if derivatives:
+        if rows := self._sensitivities(derivatives):
             head = ["at", "output", "kind", "of", "value", "derivative", "relative"]
-            tables["sensitivities"] = ResultTable(head, self._sensitivities(derivatives))
+            tables["sensitivities"] = ResultTable(head, rows)
         return tables
 
     def _sensitivities(self, derivatives: dict[str, Sensitivities]) -> list[list[Any]]:
@@ -238,69 +280,25 @@ class SignallingRun(Simulation[NetworkState]):
         return list(_sensitivity_rows(derivatives, self.model, self.last_inputs, outputs))
 
     def figures(self, end: End[NetworkState]) -> Mapping[str, Drawing]:
-        """Return the functions that draw time courses and, where computed, steady states, branches and sensitivities."""
+        """Return the functions that draw time courses and, where there are any, steady states, branches and sensitivities."""
         found, derivatives = end.analysis
-        names, of_inputs = self.model.law.species, "input [1]" if self.model.is_normalised else "input"
+        names, unit = self.model.law.species, " [1]" if self.model.is_normalised else ""
         drawings: dict[str, Drawing] = {
-            "courses": partial(courses_figure, end.history, self.names, tuple(self.case.set), of_inputs)
+            "courses": partial(courses_figure, end.history, self.names, tuple(self.case.set), unit)
         }
-        if found:
-            drawings["steady_states"] = partial(states_figure, found[None], names)
-        if len(found) > 1:
-            branches = {value: one for value, one in found.items() if value is not None}
-            drawings["steady_branches"] = partial(branches_figure, branches, names, str(self.case.steady.over))
-        if derivatives:
-            drawings["sensitivities"] = partial(sensitivities_figure, self._sensitivities(derivatives))
+        if found and found[None].states:
+            drawings["steady_states"] = partial(states_figure, found[None], names, unit)
+        branches = {value: one for value, one in found.items() if value is not None and one.states}
+        if branches:
+            drawings["steady_branches"] = partial(branches_figure, branches, names, str(self.case.steady.over), unit)
+        if rows := self._sensitivities(derivatives):
+            drawings["sensitivities"] = partial(sensitivities_figure, rows)
         return drawings
 
     def sentence(self, end: End[NetworkState]) -> str:
         """Return a sentence on how long the network was integrated, and how many steady states were found."""
-        verdict = _verdict(end.analysis.found.get(None))
+        verdict = verdict_of(end.analysis.found.get(None), self.model)
         return f"The network was simulated over {end.history['time_h'][-1]:.6g} h. {verdict}"
-
-
-def _verdict(found: SteadyStates | None) -> str:
-    if found is None:
-        return "Its rates depend on time, so it has no steady states."
-    n, unsettled = len(found.stable), int(np.sum(found.reached < 0))
-    rest = f" {unsettled} of {len(found.reached)} starts did not reach a steady state." if unsettled else ""
-    words = {0: "No stable steady state was found.", 1: "One stable steady state was found."}
-    many = f"{n} stable steady states were found: the initial state decides which one is reached."
-    return words.get(n, many) + rest
-
-
-def _of_states(
-    found: dict[float | None, SteadyStates], names: tuple[str, ...], inputs: dict[str, float]
-) -> dict[str, Quantity]:
-    """Return the outcomes on steady states; unstable states and starts that reached none are included."""
-    if not found:
-        return {}
-    here = found[None]
-    under = ", ".join(f"{name} = {value:g}" for name, value in inputs.items()) or "no inputs"
-    listed = [
-        {
-            "is_stable": state.is_stable,
-            "n_starts": state.n_starts,
-            "growth_per_h": seconds_from_hours(state.growth),
-            "values": dict(zip(names, state.y)),
-        }
-        for state in here.states
-    ]
-    return {
-        "n_stable_states": Quantity(len(here.stable), "1", f"from {len(here.reached)} starts under {under}"),
-        "is_bistable": Quantity("yes" if len(here.stable) > 1 else "no", "", "whether it has several stable states"),
-        "state_from_own_start": Quantity(_number(here.reached[0]), "1", "number of the state, from 1"),
-        "state_from_end": Quantity(
-            _number(here.reached[-1]), "1", "number of the state reached from the end of the course, from 1"
-        ),
-        "n_unsettled_starts": Quantity(int(np.sum(here.reached < 0)), "1", "starts that did not reach a steady state"),
-        "n_conserved": Quantity(here.n_conserved, "1", "conserved quantities: number of zero eigenvalues"),
-        "steady_states": Quantity(listed, "1", "stable ones first; growth: largest real part of an eigenvalue"),
-    }
-
-
-def _number(state: int) -> int | None:
-    return int(state) + 1 if state >= 0 else None
 
 
 def _states_table(
