@@ -75,7 +75,7 @@ def test_interface_example_loads(write, tmp_path):
     assert case.resection.centre_mm == (42.0, -80.0, 12.0)
     assert case.outcome.visits_weeks == (2.0, 6.0, 10.0, 26.0)
     assert set(input_files(case)) == {"image.path", "image.labels"}
-    assert case_table(case)["image"]["path"] == "breast.nii.gz"  # no folder names in a manifest
+    assert case_table(case)["image"]["path"] == "NIfTI image"  # no names of files or folders in a manifest
 
 
 def test_case_is_frozen_and_comparable(write):

@@ -58,7 +58,7 @@ def test_any_orientation_reads_to_the_same_place(tmp_path, direction, ending):
 
 
 def test_write_then_read_keeps_voxels_and_geometry(tmp_path):
-    volume = Volume(np.arange(60, dtype=np.float32).reshape(3, 4, 5), (0.5, 1.0, 2.0), (-3.0, 4.0, 5.0))
+    volume = Volume(np.arange(60, dtype=np.float32).reshape(3, 4, 5), (5.0, 10.0, 20.0), (-3.0, 4.0, 5.0))
     write_volume(tmp_path / "v.nii.gz", volume)
     again = read_image(tmp_path / "v.nii.gz")
     np.testing.assert_array_equal(again.values, volume.values)
@@ -67,7 +67,9 @@ def test_write_then_read_keeps_voxels_and_geometry(tmp_path):
 
 
 def save(path, values, **kw):
-    sitk.WriteImage(sitk.GetImageFromArray(values, **kw), str(path))
+    image = sitk.GetImageFromArray(values, **kw)
+    image.SetSpacing([10.0] * image.GetDimension())
+    sitk.WriteImage(image, str(path))
     return path
 
 
@@ -142,11 +144,13 @@ def missing_slice(folder):
 def dicom_slice(path, series, k):
     image = sitk.GetImageFromArray(np.full((1, 8, 8), 10 * k, np.int16))
     image.SetOrigin((0, 0, 2.0 * k))
+    image.SetSpacing((3.0, 3.0, 2.0))
     image.SetMetaData("0020|000e", series)
     image.SetMetaData("0020|000d", "1.2.3")
     image.SetMetaData("0010|0010", "Secret^Name")
     image.SetMetaData("0020|0032", f"0\\0\\{2.0 * k}")
     image.SetMetaData("0020|0037", "1\\0\\0\\0\\1\\0")
+    image.SetMetaData("0028|0030", "3\\3")
     writer = sitk.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
     writer.SetFileName(str(path))

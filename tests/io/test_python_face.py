@@ -61,7 +61,7 @@ def test_paths_in_tables_start_from_the_working_folder(tmp_path, monkeypatch):
         simulate({**TABLES, "cue": {"W": "W.npy"}})
     monkeypatch.chdir(tmp_path)
     results = simulate({**TABLES, "cue": {"W": "W.npy"}})
-    assert results.manifest["inputs"]["cue.W"]["name"] == "W.npy"
+    assert results.manifest["inputs"]["cue.W"]["name"] == "NumPy array"
 
 
 def test_a_run_reads_back_as_it_was(kept):

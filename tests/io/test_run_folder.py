@@ -69,7 +69,7 @@ def test_finished_run_reads_back(tmp_path):
     assert results.history["cycle"].dtype.kind == "i"
     assert results.outcome["never"] == Quantity(None, "days", "not closed")
     manifest = results.manifest
-    assert manifest["inputs"]["image.path"] == {"name": "image.nii", "sha256": hashlib.sha256(b"voxels").hexdigest()}
+    assert manifest["inputs"]["image.path"] == {"name": "NIfTI image", "sha256": hashlib.sha256(b"voxels").hexdigest()}
     assert manifest["case"] == CASE
     assert manifest["sources"] == {"x": "y"}
     assert manifest["seconds"]["solve"]["wall"] >= 0

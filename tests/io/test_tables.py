@@ -224,6 +224,6 @@ def test_a_network_of_two_tables_as_a_spreadsheet_saves_them(tmp_path):
     assert model.law.tau.tolist() == [1800.0, 3600.0]
     assert model.law.n.tolist() == [1.4, 1.4]
     assert "read as Windows-1252" in model.notes[0]
-    (tmp_path / "species.csv").write_text(species.replace("0,5", "1_0,5"))
+    (tmp_path / "species.csv").write_bytes(species.replace("0,5", "1_0,5").encode())
     with pytest.raises(InputError, match=r'species.csv: row 2, column tau_h: "1_0,5" is not a number'):
         read_network(tmp_path / "species.csv", tmp_path / "reactions.csv")

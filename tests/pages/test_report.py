@@ -273,6 +273,7 @@ def test_identifiers_of_dicom_never_appear(tmp_path):
             "0008|1030": name,
             "0020|000e": "1.2.3",
             "0020|0037": "1\\0\\0\\0\\1\\0",
+            "0028|0030": "1\\1",
         }
         for tag, value in (tags | {"0020|0032": f"0\\0\\{2.0 * k}"}).items():
             slice_.SetMetaData(tag, value)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from ..core.errors import InputError
+from ..files.bare_names import bare_name
 from ..files.text import text_of
 from .nested import copied, files_in, names_of, put
 from .paths import BACKSLASH
@@ -78,14 +79,14 @@ def kind_of(tables: Mapping[str, Any], known: Iterable[str]) -> str:
 
 
 def case_table(case: Case) -> dict[str, Any]:
-    """Return a case as nested tables of plain values for the manifest; a file is named without its folder.
+    """Return a case as nested tables of plain values for the manifest; of a file it says only what it is.
 
-    Folder names can identify a patient, and the manifest identifies the content of a file by its hash.
+    Names of files and folders can identify a patient, and the manifest identifies the content of a file by its hash.
     """
     table = case.model_dump(mode="python")
     for within, key in files_in(table, case.files).values():
         if isinstance(within[key], Path):
-            within[key] = within[key].name
+            within[key] = bare_name(within[key])
     return json.loads(json.dumps(table))
 
 

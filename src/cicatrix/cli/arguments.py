@@ -84,6 +84,7 @@ def _segment(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument("--weighting", choices=("t1", "t1-fatsat"), default="t1")
     parser.add_argument("--side", choices=("left", "right"), default="left", help="side of the patient's breast")
     parser.add_argument("--position", choices=("prone", "supine", "upright"), default="prone")
+    _add_axes(parser)
     parser.add_argument(
         "--chest-wall-plane",
         nargs=6,
@@ -107,6 +108,7 @@ def _mesh(verbs: argparse._SubParsersAction) -> None:
     )
     parser.add_argument("--out", type=_path, required=True, metavar="FILE", help="VTU file to write; must not exist")
     parser.add_argument("--edge-mm", type=_number, default=5.0, help="element edge [mm], 5 by default")
+    _add_axes(parser)
 
 
 def _fit(verbs: argparse._SubParsersAction) -> None:
@@ -157,6 +159,7 @@ def _plan(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument(
         "--position", choices=("prone", "supine", "upright"), default="prone", help="position in the image"
     )
+    _add_axes(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=_path, default=Path("plan"), help="folder for cases and runs (default: plan)"
     )
@@ -201,6 +204,12 @@ def _port(text: str) -> int:
 def _add_case(parser: argparse.ArgumentParser) -> None:
     """Add the positional argument for the case file."""
     parser.add_argument("case", metavar="CASE.toml", type=_path, help="the case file")
+
+
+def _add_axes(parser: argparse.ArgumentParser) -> None:
+    """Add the option ``--axes``, for images whose header does not say how they lie in the patient."""
+    words = "directions of the file's x, y and z in the patient, such as LPS, in place of what the header says"
+    parser.add_argument("--axes", metavar="AXES", help=words)
 
 
 def _add_overrides(parser: argparse.ArgumentParser) -> None:

@@ -21,10 +21,11 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"--out: {out.name} must end in .vtu.")
     if out.exists():
         raise InputError(f"--out: {out.name} already exists; give a new name.")
-    found = from_labels(read_labels(args.labels))
+    notes: list[str] = []
+    found = from_labels(read_labels(args.labels, note=notes.append, axes=args.axes))
     mesh, E, nu, density = meshed_labels(Anatomy(None, found.labels, found.probabilities), args.edge_mm, TissueTable())
     write_body(out, mesh, E, nu, density)
-    for note in (*found.notes, *mesh.notes):
+    for note in (*notes, *found.notes, *mesh.notes):
         print(note)
     quality = mesh.quality
     print(

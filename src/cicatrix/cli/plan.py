@@ -24,7 +24,14 @@ def run(args: argparse.Namespace) -> int:
     """Segment the image and serve the planning page until interrupted."""
     if args.out.is_file():
         raise InputError(f"--out: {args.out} is a file; give a folder")
-    table = build_table(args.image, args.labels, weighting=args.weighting, side=args.side, position=args.position)
+    table = build_table(
+        args.image,
+        args.labels,
+        weighting=args.weighting,
+        side=args.side,
+        position=args.position,
+        axes=args.axes,
+    )
     with tempfile.TemporaryDirectory() as site:
         planner = Planner(table, args.out.resolve(), Path(site))
         try:
@@ -49,6 +56,7 @@ def build_table(
     weighting: str = "t1",
     side: str = "left",
     position: str = "prone",
+    axes: str | None = None,
 ) -> PlanningTable:
     """Read an image and segment it or read its labels; without an image, use the phantom.
 
@@ -64,14 +72,15 @@ def build_table(
         voxel, seed = ImageTable(phantom="half-ellipsoid").voxel_mm, LumpectomyRunTable().seed
         made, truth = phantom(spacing_mm=voxel, seed=seed, weighting=weighting, side=side)
         return PlanningTable(picture(made)[0], thin_labels(truth), {"phantom": "half-ellipsoid", **keys}, ())
-    volume, thinned = read_thinned(image, MAX_VOXELS)
+    notes: list[str] = []
+    volume = read_thinned(image, MAX_VOXELS, note=notes.append, side=side, axes=axes)
     shown, also_thinned = picture(volume)
-    keys |= {"path": image.resolve()}
+    keys |= {"path": image.resolve()} | ({} if axes is None else {"axes": axes})
     if labels is not None:
-        found = from_labels(read_labels(labels))
+        found = from_labels(read_labels(labels, note=notes.append, axes=axes))
         keys |= {"labels": labels.resolve()}
     else:
         print("segmenting ...", flush=True)
         found = segment(volume, weighting=weighting, side=side, position=position)
-    notes = [note for note in (thinned, also_thinned, *found.notes) if note]
+    notes += [note for note in (also_thinned, *found.notes) if note]
     return PlanningTable(shown, thin_labels(found.labels), keys, tuple(notes))

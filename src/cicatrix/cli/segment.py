@@ -22,7 +22,7 @@ def run(args: argparse.Namespace) -> int:
     plane = args.chest_wall_plane
     wall = {"point_mm": plane[:3], "normal": plane[3:]} if plane else None
     centre = tuple(args.resection_centre) if args.resection_centre else None
-    image = read_image(args.image)
+    image = read_image(args.image, note=print, side=args.side, axes=args.axes)
     found = segment(
         image,
         weighting=args.weighting,

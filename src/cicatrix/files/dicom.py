@@ -1,9 +1,11 @@
-"""Find and sort the files of a DICOM series; their headers, which may identify a patient, are not passed on."""
+"""Planes of DICOM images, classic and enhanced; of their headers, which may identify a patient, only geometry is passed on."""
 
 from __future__ import annotations
 
-import warnings
-from dataclasses import dataclass
+import contextlib
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,89 +13,212 @@ import numpy as np
 
 from ..core.deferred import Deferred
 from ..core.errors import InputError
+from .dicom_mark import is_dicom
+from .dicom_pixels import PixelFile, dataset_of, pixel_form, understood
+from .grid import Note, Stored, scaled
+from .stack import Frame, stacked
 
 if TYPE_CHECKING:
     import pydicom
 else:
     pydicom = Deferred("pydicom")  # most runs read no DICOM
 
-TAGS = [
-    "SeriesInstanceUID",
-    "ImagePositionPatient",
-    "ImageOrientationPatient",
-    "NumberOfFrames",
-    "PixelSpacing",
-    "Rows",
-]
-GAP_TOLERANCE = 0.02  # largest difference between gaps of slices, relative to their median
+HEAD = 4096  # bytes by which a file is known to be DICOM, or text
 
 
-@dataclass(frozen=True)
-class Slice:
-    """A file of a series, and the position of its slice along the normal [mm]."""
+def read_dicom(path: Path, side: str | None, note: Note) -> Stored:
+    """Read a series: the files of a folder (not of its sub-folders), or one file with several frames.
 
-    path: Path
-    position_mm: float
-
-
-def series_files(folder: Path) -> list[Path]:
-    """Return the files of the one DICOM series in ``folder`` (not its sub-folders), in the order of their positions.
+    Parameters
+    ----------
+    path : Path
+        The folder or file.
+    side : str, optional
+        "left" or "right": the breast whose slab is taken where there are two.
+    note : callable
+        Takes sentences on files and slices that are left out.
 
     Raises
     ------
     InputError
-        If there is no DICOM file or more than one series, or slices have no position, share a position or are missing.
+        If there is no series or more than one, a file cannot be read, or the slices make no volume.
     """
-    series: dict[str, list[tuple[Path, pydicom.Dataset]]] = {}
-    for path in sorted(p for p in folder.iterdir() if p.is_file()):
-        header = _header(path)
-        if header is not None and "Rows" in header:
-            series.setdefault(str(header.get("SeriesInstanceUID", "")), []).append((path, header))
-    if not series:
-        raise InputError(f"{folder.name}: the folder has no DICOM image; give the one whose files are the slices.")
-    if len(series) > 1:
-        counts = ", ".join(str(len(s)) for s in series.values())
-        raise InputError(
-            f"{folder.name}: the folder has {len(series)} DICOM series ({counts} files); keep one series per folder."
-        )
-    return _ordered(next(iter(series.values())), folder.name)
+    headers = _one_series(_headers(path, note) if path.is_dir() else [(path, dataset_of(path, pixels=False))])
+    frames = []
+    for number, (file, header) in enumerate(headers, start=1):
+        with _placed(number, len(headers)):
+            frames += [
+                replace(f, values=partial(_in_place, f.values, number, len(headers))) for f in _frames(file, header)
+            ]
+    return stacked(frames, side, note)
 
 
-def _header(path: Path) -> pydicom.Dataset | None:
-    """Read the header tags that are needed; return None if the file is not DICOM."""
+@contextlib.contextmanager
+def _placed(number: int, n: int) -> Iterator[None]:
+    """Say in an error which file it is about; its name may be that of a patient."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            return pydicom.dcmread(path, stop_before_pixels=True, specific_tags=TAGS)
-    except (pydicom.errors.InvalidDicomError, OSError, EOFError, ValueError, AttributeError, KeyError):
+        with understood():
+            yield
+    except InputError as error:
+        place = f" (file {number} of {n} in the order of their names)" if n > 1 else ""
+        raise InputError(f"{error}{place}") from None
+
+
+def _in_place(values: Callable[[], np.ndarray], number: int, n: int) -> np.ndarray:
+    with _placed(number, n):
+        return values()
+
+
+def _headers(folder: Path, note: Note) -> list[tuple[Path, pydicom.Dataset]]:
+    """Return the files of a folder that are DICOM images, with their headers; none may be damaged."""
+    found, others, damaged = [], [], []
+    for path in sorted(p for p in folder.iterdir() if p.is_file() and not p.name.startswith(".")):
+        with path.open("rb") as file:
+            head = file.read(HEAD)
+        if not is_dicom(head):
+            others.append((path, head))
+            continue
+        try:
+            header = dataset_of(path, pixels=False)
+            if "Rows" in header:
+                found.append((path, header))
+        except InputError:
+            damaged.append(path)
+    endings = {_ending(path) for path, _ in found}
+    damaged += [path for path, head in others if found and _ending(path) in endings and not _is_text(head)]
+    if damaged:
+        n = len(found) + len(damaged)
+        number = sorted([*(path for path, _ in found), *damaged]).index(min(damaged)) + 1
+        raise InputError(
+            f"{len(damaged)} of {n} files cannot be read as DICOM (the first is number {number} in the order of their names); "
+            "export the series again"
+        )
+    if not found:
+        raise InputError("the folder has no DICOM image; give the one whose files are the slices")
+    if others:
+        note(f"Left out: {len(others)} of the files in the folder, not DICOM.")
+    return found
+
+
+def _ending(path: Path) -> str:
+    """Return the ending of a file's name; one that is a number, as of a UID, is none."""
+    ending = path.suffix.lower()
+    return "" if ending[1:].isdigit() else ending
+
+
+def _is_text(head: bytes) -> bool:
+    """Return whether a file begins as text; an empty one does not."""
+    try:
+        text = head[: HEAD - 4].decode("utf-8")
+    except UnicodeDecodeError:
+        return False
+    return text != "" and all(letter.isprintable() or letter.isspace() or letter == "\ufeff" for letter in text)
+
+
+def _one_series(headers: list[tuple[Path, pydicom.Dataset]]) -> list[tuple[Path, pydicom.Dataset]]:
+    counts: dict[str, int] = {}
+    for _, header in headers:
+        series = str(_element(header, "SeriesInstanceUID") or "")
+        counts[series] = counts.get(series, 0) + 1
+    if len(counts) > 1:
+        shown = ", ".join(str(n) for n in counts.values())
+        raise InputError(f"the folder has {len(counts)} DICOM series ({shown} files); keep one series per folder")
+    return headers
+
+
+def _element(dataset: pydicom.Dataset, name: str):
+    """Return the value of an element; None if there is none, or it is not as its type says."""
+    try:
+        return dataset.get(name)
+    except Exception:  # a damaged value raises in the library what it likes
         return None
 
 
-def _ordered(files: list[tuple[Path, pydicom.Dataset]], name: str) -> list[Path]:
-    """Sort slices along their normal; raise an error that names the folder (``name``) if they are not evenly spaced."""
+def _numbers(dataset: pydicom.Dataset | None, name: str, n: int) -> np.ndarray:
+    """Return the numbers (n,) of an element."""
+    value = None if dataset is None else _element(dataset, name)
     try:
-        slices = sorted((_slice(path, header) for path, header in files), key=lambda s: s.position_mm)
-    except (AttributeError, TypeError, ValueError):
+        numbers = np.array([float(x) for x in (value if n > 1 else [value])])  # pyright: ignore[reportOptionalIterable]
+    except (TypeError, ValueError):
+        numbers = np.empty(0)
+    if len(numbers) != n or not np.isfinite(numbers).all():
+        words = "missing" if value in (None, "") else "not as the standard says"
         raise InputError(
-            f"{name}: a DICOM slice has no readable position or orientation; export the series again."
-        ) from None
-    if len(slices) < 2:
-        raise InputError(
-            f"{name}: the DICOM series is a single file; a series of two or more slices, one per file, is needed."
+            f"{name} is {words}: {n} finite {'number is' if n == 1 else 'numbers are'} needed; export it again"
         )
-    gaps = np.diff([s.position_mm for s in slices])
-    if gaps.min() < 1e-3:
-        raise InputError(f"{name}: two DICOM slices have the same position; keep one time point or echo in the folder.")
-    if np.ptp(gaps) > GAP_TOLERANCE * np.median(gaps):
-        raise InputError(
-            f"{name}: the gaps between DICOM slices range from {gaps.min():.2f} to {gaps.max():.2f} mm; "
-            "slices are missing, export the whole series."
-        )
-    return [s.path for s in slices]
+    return numbers
 
 
-def _slice(path: Path, header: pydicom.Dataset) -> Slice:
-    """Compute the position of a slice along its normal."""
-    row, column = np.asarray(header.ImageOrientationPatient, float).reshape(2, 3)
-    position = float(np.cross(row, column) @ np.asarray(header.ImagePositionPatient, float))
-    return Slice(path, position)
+def _frames(path: Path, header: pydicom.Dataset) -> Iterator[Frame]:
+    """Yield the planes of a file."""
+    form = pixel_form(header)
+    n_frames = int(_numbers(header, "NumberOfFrames", 1)[0]) if _element(header, "NumberOfFrames") else 1
+    if n_frames < 1:
+        raise InputError(f"the DICOM header says {n_frames} frames (NumberOfFrames); it must be 1 or more")
+    pixels = PixelFile(path, n_frames)
+    per_frame = _element(header, "PerFrameFunctionalGroupsSequence")
+    if per_frame is None:
+        if n_frames > 1:
+            raise InputError(
+                f"the {n_frames} frames of the file have no place of their own (no functional groups); "
+                "export them as a series or as enhanced DICOM"
+            )
+        yield _frame(header, header, header, header, pixels, 0, form, header)
+        return
+    if len(per_frame) != n_frames:
+        raise InputError(f"the header says {n_frames} frames, but places {len(per_frame)}; export the file again")
+    shared = _element(header, "SharedFunctionalGroupsSequence")
+    for number, groups in enumerate(per_frame):
+        position, orientation, measures, transform = (
+            _group(name, groups, shared[0] if shared else None)
+            for name in (
+                "PlanePositionSequence", "PlaneOrientationSequence", "PixelMeasuresSequence", "PixelValueTransformationSequence"
+            )
+        )  # fmt: skip
+        yield _frame(position, orientation, measures, transform, pixels, number, form, header)
+
+
+def _group(name: str, own: pydicom.Dataset, shared: pydicom.Dataset | None) -> pydicom.Dataset | None:
+    """Return a functional group of a frame: its own, or the one shared by all (PS3.3 C.7.6.16)."""
+    for groups in (own, shared):
+        sequence = None if groups is None else _element(groups, name)
+        if sequence:
+            return sequence[0]
+    return None
+
+
+def _frame(position, orientation, measures, transform, pixels: PixelFile, number: int, form: str, header) -> Frame:
+    """Return a plane from the parts of a header that say where it lies and how its values are scaled."""
+    row, column = _numbers(orientation, "ImageOrientationPatient", 6).reshape(2, 3)
+    gap_of_rows, gap_of_columns = _numbers(measures, "PixelSpacing", 2).tolist()
+    if not (gap_of_rows > 0 and gap_of_columns > 0):
+        raise InputError(
+            f"PixelSpacing is {gap_of_rows:g}, {gap_of_columns:g} mm; both must be positive, export it again"
+        )
+    return Frame(
+        _numbers(position, "ImagePositionPatient", 3),
+        np.column_stack([row, column, np.cross(row, column)]),
+        (gap_of_columns, gap_of_rows),
+        (int(header.Rows), int(header.Columns)),
+        form,
+        partial(_values, pixels, number, *_scale(transform), _element(header, "ModalityLUTSequence") and header),
+    )
+
+
+def _scale(transform: pydicom.Dataset | None) -> tuple[float, float]:
+    """Return slope and intercept of a plane; 1 and 0 where the header has none."""
+    parts = []
+    for name, default in (("RescaleSlope", 1.0), ("RescaleIntercept", 0.0)):
+        absent = transform is None or (name in transform and transform[name].VM == 0) or name not in transform
+        parts.append(default if absent else float(_numbers(transform, name, 1)[0]))
+    if parts[0] == 0:
+        raise InputError("RescaleSlope is 0, which leaves no image; export it again")
+    return parts[0], parts[1]
+
+
+def _values(
+    pixels: PixelFile, number: int, slope: float, intercept: float, table: pydicom.Dataset | None
+) -> np.ndarray:
+    """Return the values of a plane, after its modality table or its slope and intercept."""
+    stored = pixels.frame(number)
+    return pydicom.pixels.apply_modality_lut(stored, table) if table else scaled(stored, slope, intercept)

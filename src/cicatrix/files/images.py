@@ -7,34 +7,45 @@ import errno
 import gzip
 import os
 import shutil
-import sys
-import tempfile
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ..core.deferred import Deferred
 from ..core.errors import InputError
 from ..geometry.labels import Label
-from ..geometry.volume import Volume
-from .dicom import series_files
-from .nifti import check_nifti
+from ..geometry.volume import AXES, TOWARDS, Volume
+from ..image.intensities import from_zero
+from .dicom import read_dicom
+from .dicom_mark import is_dicom
+from .grid import Grid, Note, Stored, check_grid
+from .itk import quiet, sitk
+from .metaimage import is_metaimage, read_metaimage
+from .nifti import is_nifti, read_nifti
+from .nrrd import is_nrrd, read_nrrd
 from .pictures import steps_to
-
-if TYPE_CHECKING:
-    import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
-else:
-    sitk = Deferred("SimpleITK")  # most runs read no image
+from .streams import opened
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 KNOWN = "NIfTI (.nii, .nii.gz), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a folder with one DICOM series"
 TILT_TOLERANCE = 1e-4  # direction cosines this close to the axes count as aligned: 0.05 mm over half a metre
+HEAD = 1024  # bytes by which a format is known
 
 
-def read_image(path: str | Path) -> Volume:
+def unheard(sentence: str) -> None:
+    """Take a note that nobody asked for."""
+
+
+def read_image(
+    path: str | Path,
+    *,
+    note: Note = unheard,
+    side: str | None = None,
+    axes: str | None = None,
+    name: str | None = None,
+) -> Volume:
     """Read a scalar 3-D image in any orientation onto an axis-aligned LPS grid.
 
     Permuted and flipped axes are only re-ordered; an oblique image is resampled linearly at its own spacing.
@@ -42,49 +53,56 @@ def read_image(path: str | Path) -> Volume:
     Parameters
     ----------
     path : str or Path
-        A NIfTI, NRRD or MetaImage file, or a folder with one DICOM series.
+        A NIfTI, NRRD or MetaImage file, an enhanced DICOM file, or a folder with one DICOM series; the name decides nothing.
+    note : callable, optional
+        Takes sentences on what is assumed or left out; none of them names a file.
+    side : str, optional
+        "left" or "right": the breast whose slab is read where a series has one per breast.
+    axes : str, optional
+        Directions of the file's x, y and z in the patient, in place of what its header says.
+    name : str, optional
+        What errors call the image; by default the file's name.
 
     Returns
     -------
     Volume
-        values (nz, ny, nx) float32, in the file's own unit after its rescale slope and intercept.
+        values (nz, ny, nx) float32, in the file's own unit after its rescale slope and intercept; if air lies below 0, all are
+        shifted so that it lies at 0, and a note says so.
 
     Raises
     ------
     InputError
-        If the file is missing, truncated or of another format, there is not exactly one DICOM series, or the image is not 3-D, a
-        single slice, or has NaN or infinite voxels.
+        If the file is missing, damaged, contradicts itself or is of another format, there is not exactly one DICOM series, it is
+        unknown where the image lies, or the image is not 3-D, a single slice, not the size of a body part, or not all numbers.
     """
-    image = _checked(_read(Path(path)), Path(path).name)
-    image = _axis_aligned(sitk.Cast(image, sitk.sitkFloat32), sitk.sitkLinear)
-    return _volume(image)
+    with _named(Path(path), name):
+        stored = _stored(Path(path), note, side, axes)
+        return _volume(_axis_aligned(_itk(_intensities(stored.values, note), stored.grid), sitk.sitkLinear))
 
 
-def read_thinned(path: str | Path, max_voxels: int) -> tuple[Volume, str]:
-    """Read an image, and keep only every second, third, ... voxel if it has more than ``max_voxels``.
-
-    Returns
-    -------
-    Volume, str
-        The image as :func:`read_image` returns it, and a sentence on the voxels left out; empty if none are.
+def read_thinned(
+    path: str | Path, max_voxels: int, *, note: Note = unheard, side: str | None = None, axes: str | None = None
+) -> Volume:
+    """Read an image, and keep only every second, third, ... voxel if it has more than ``max_voxels``; a note says so.
 
     Raises
     ------
     InputError
         As :func:`read_image`.
     """
-    image = _checked(_read(Path(path)), Path(path).name)
-    nx, ny, nz = image.GetSize()
-    sx, sy, sz = image.GetSpacing()
-    kz, ky, kx = steps_to((nz, ny, nx), (sx, sy, sz), max_voxels)
-    image = image[::kx, ::ky, ::kz]
-    kept = "x".join(str(n) for n in image.GetSize())
-    words = f"The image has {nx}x{ny}x{nz} voxels; {kept} of them are used."
-    thin = _axis_aligned(sitk.Cast(image, sitk.sitkFloat32), sitk.sitkLinear)
-    return _volume(thin), words if max(kx, ky, kz) > 1 else ""
+    with _named(Path(path), None):
+        stored = _stored(Path(path), note, side, axes)
+        kz, ky, kx = steps_to(stored.values.shape, stored.grid.spacing_mm, max_voxels)
+        values = stored.values[::kz, ::ky, ::kx]
+        if max(kx, ky, kz) > 1:
+            all_of, kept = ("x".join(str(n) for n in which.shape[::-1]) for which in (stored.values, values))
+            note(f"The image has {all_of} voxels; {kept} of them are used.")
+        sx, sy, sz = stored.grid.spacing_mm
+        grid = replace(stored.grid, spacing_mm=(sx * kx, sy * ky, sz * kz))
+        return _volume(_axis_aligned(_itk(_intensities(values, note), grid), sitk.sitkLinear))
 
 
-def read_labels(path: str | Path) -> Volume:
+def read_labels(path: str | Path, *, note: Note = unheard, axes: str | None = None, name: str | None = None) -> Volume:
     """Read a label map (0 air, 1 fat, 2 gland, 3 skin, 4 tumour, 5 chest) onto an axis-aligned LPS grid.
 
     Returns
@@ -97,18 +115,46 @@ def read_labels(path: str | Path) -> Volume:
     InputError
         As :func:`read_image`, or if there are labels other than whole numbers 0 to 5, or no voxel of the breast (1 to 4).
     """
-    name = Path(path).name
-    image = _checked(_read(Path(path)), name)
-    values = sitk.GetArrayViewFromImage(image)
+    with _named(Path(path), name):
+        stored = _stored(Path(path), note, None, axes)
+        _check_labels(stored.values)
+        return _volume(_axis_aligned(_itk(stored.values.astype(np.uint8), stored.grid), sitk.sitkNearestNeighbor))
+
+
+def open_image(path: str | Path, layers: bool = False, *, note: Note = unheard, axes: str | None = None) -> sitk.Image:
+    """Read a 3-D image as the file stores it, with pairs of its header; with ``layers``, a voxel may have several values.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_image`.
+    """
+    with _named(Path(path), None):
+        stored = _stored(Path(path), note, None, axes, layers=layers)
+        image = _itk(stored.values, stored.grid)
+    for key, value in stored.fields.items():
+        image.SetMetaData(key, value)
+    return image
+
+
+def labels_on(image: sitk.Image, values: np.ndarray) -> Volume:
+    """Return labels (nz, ny, nx) of the voxels of an image on an axis-aligned LPS grid, by the nearest voxel, as uint8."""
+    labels = sitk.GetImageFromArray(np.ascontiguousarray(values, np.uint8))
+    labels.SetSpacing(image.GetSpacing())
+    labels.SetOrigin(image.GetOrigin())
+    labels.SetDirection(image.GetDirection())
+    return _volume(_axis_aligned(labels, sitk.sitkNearestNeighbor))
+
+
+def _check_labels(values: np.ndarray) -> None:
     strange = sorted({float(v) for v in np.unique(values)} - {float(label) for label in Label})
     if strange:
         shown = ", ".join(f"{v:g}" for v in strange[:3])
         raise InputError(
-            f"{name}: a label map has only 0 air, 1 fat, 2 gland, 3 skin, 4 tumour and 5 chest; this one also has {shown}."
+            f"a label map has only 0 air, 1 fat, 2 gland, 3 skin, 4 tumour and 5 chest; this one also has {shown}"
         )
     if not ((values > Label.AIR) & (values < Label.CHEST)).any():
-        raise InputError(f"{name}: the label map has no voxel of the breast (1 fat, 2 gland, 3 skin, 4 tumour).")
-    return _volume(_axis_aligned(sitk.Cast(image, sitk.sitkUInt8), sitk.sitkNearestNeighbor))
+        raise InputError("the label map has no voxel of the breast (1 fat, 2 gland, 3 skin, 4 tumour)")
 
 
 def write_volume(path: str | Path, volume: Volume) -> None:
@@ -124,7 +170,7 @@ def write_volume(path: str | Path, volume: Volume) -> None:
     pad = values.ndim - 3
     image.SetSpacing((*map(float, volume.spacing_mm), *(1.0,) * pad))
     image.SetOrigin((*map(float, volume.origin_mm), *(0.0,) * pad))
-    with _quiet():
+    with quiet():
         try:
             sitk.WriteImage(image, str(path), useCompression=True)
         except RuntimeError as error:
@@ -149,78 +195,81 @@ def _unwritten(path: str | Path, size: int) -> OSError:
     return OSError(code, os.strerror(code), str(path))
 
 
-def _read(path: Path) -> sitk.Image:
-    """Read a file or folder with ITK, and replace its errors by an InputError."""
-    if not path.exists():
-        raise InputError(f"{path.name}: there is no such image; give {KNOWN}.")
-    if path.is_dir():
-        return _read_series(path)
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(path))
-    with _quiet():
-        try:
-            reader.ReadImageInformation()
-        except RuntimeError as error:
-            raise InputError(_unreadable(path.name, str(error))) from None
-        _check_form(reader.GetDimension(), reader.GetSize(), reader.GetNumberOfComponents(), path.name)
-        if path.name.endswith((".nii", ".nii.gz")):
-            check_nifti(path)
-        try:
-            return reader.Execute()
-        except RuntimeError:
-            raise InputError(f"{path.name}: the file is cut short or damaged; copy it again from its source.") from None
+@contextlib.contextmanager
+def _named(path: Path, name: str | None) -> Iterator[None]:
+    """Put the image's name before the sentence of an error, and keep the path out of it."""
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{name or path.name}: {str(error).replace(str(path), 'the file')}.") from None
 
 
-def _unreadable(name: str, reason: str) -> str:
-    """Return the error for a header that ITK cannot use."""
-    if "orthonormal" in reason:
-        return f"{name}: the header's axes are sheared (not orthonormal); resample the image onto a rectangular grid."
-    return f"{name}: this is not an image that can be read; give {KNOWN}, complete and under its right name."
+def _stored(path: Path, note: Note, side: str | None, axes: str | None, *, layers: bool = False) -> Stored:
+    """Read a file or folder by its content, and judge where its voxels lie."""
+    try:
+        is_there = path.exists()
+    except (OSError, ValueError):  # a name too long, or with a NUL character
+        is_there = False
+    if not is_there:
+        raise InputError(f"there is no such image; give {KNOWN}")
+    stored = read_dicom(path, side, note) if path.is_dir() else _by_content(path, side, note, layers)
+    grid = stored.grid if axes is None else _turned(stored.grid, axes)
+    check_grid(grid, stored.values.shape[:3], note)
+    return replace(stored, grid=grid)
 
 
-def _check_form(dimension: int, size: tuple[int, ...], n_components: int, name: str) -> None:
-    """Refuse an image that is not a scalar volume, before its voxels are read."""
-    while dimension > 3 and size[dimension - 1] == 1:
-        dimension -= 1
-    if dimension > 3:
-        raise InputError(
-            f"{name}: the image has {dimension} dimensions; give one 3-D volume, for example a single time point."
-        )
-    if n_components != 1:
-        raise InputError(f"{name}: each voxel has {n_components} values; give an image with one intensity per voxel.")
-    if dimension < 3 or min(size[:3]) < 2:
-        shown = " x ".join(str(n) for n in size[:dimension])
-        raise InputError(
-            f"{name}: the image is a single slice ({shown} voxels); a volume of two or more slices is needed."
-        )
+def _by_content(path: Path, side: str | None, note: Note, layers: bool) -> Stored:
+    header = path.with_suffix(".hdr")
+    if path.suffix == ".img" and header.exists():  # the voxels of a pair, whose header tells what they are
+        path = header
+    with opened(path) as source:
+        head = source.some(HEAD)
+    if is_nrrd(head):
+        return read_nrrd(path, layers=layers)
+    if is_nifti(head):
+        return read_nifti(path)
+    if is_metaimage(head):
+        return read_metaimage(path)
+    if is_dicom(head):
+        return read_dicom(path, side, note)
+    raise InputError(f"this is not an image that can be read; give {KNOWN}, complete")
 
 
-def _read_series(folder: Path) -> sitk.Image:
-    """Read the one DICOM series of a folder."""
-    files = series_files(folder)
-    reader = sitk.ImageSeriesReader()
-    reader.SetFileNames([str(f) for f in files])
-    with _quiet():
-        try:
-            image = reader.Execute()
-        except RuntimeError:
-            raise InputError(
-                f"{folder.name}: a slice of the DICOM series is cut short, damaged or of another size; export it again."
-            ) from None
-    _check_form(image.GetDimension(), image.GetSize(), image.GetNumberOfComponentsPerPixel(), folder.name)
-    return image
-
-
-def _checked(image: sitk.Image, name: str) -> sitk.Image:
-    """Drop trailing axes of length 1, and refuse voxels that are NaN or infinite."""
-    while image.GetDimension() > 3:
-        image = image[..., 0]
-    values = sitk.GetArrayViewFromImage(image)
-    bad = values.size - np.count_nonzero(np.isfinite(values)) if values.dtype.kind == "f" else 0
+def _intensities(values: np.ndarray, note: Note) -> np.ndarray:
+    """Return voxels as float32, all of which must be finite, with air not below 0."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        single = values.astype(np.float32, copy=False)
+    bad = 0 if values.dtype.kind in "iu" else values.size - np.count_nonzero(np.isfinite(single))
     if bad:
         raise InputError(
-            f"{name}: {bad} of {values.size} voxels are NaN or infinite; give an image whose voxels are all numbers."
+            f"{bad} of {values.size} voxels are NaN or infinite as 32-bit floats; give an image whose voxels are all numbers"
         )
+    return from_zero(single, note)
+
+
+def _turned(grid: Grid, axes: str) -> Grid:
+    """Return a grid whose axes have the directions that the user gives, turned about the zero point."""
+    if axes not in AXES:
+        raise InputError(
+            f'the axes "{axes}" are not the directions of x, y and z, one each of L or R, A or P, S or I, without mirroring'
+        )
+    directions = np.zeros((3, 3))
+    for column, letter in enumerate(axes):
+        row, sign = TOWARDS[letter]
+        directions[row, column] = sign
+    if grid.origin_mm is None:
+        return replace(grid, directions=directions)
+    along = np.eye(3) if grid.directions is None else grid.directions
+    ox, oy, oz = (directions @ along.T @ grid.origin_mm).tolist()
+    return replace(grid, origin_mm=(ox, oy, oz), directions=directions)
+
+
+def _itk(values: np.ndarray, grid: Grid) -> sitk.Image:
+    """Return voxels (nz, ny, nx), or (nz, ny, nx, n_layers), as an image of ITK."""
+    image = sitk.GetImageFromArray(np.ascontiguousarray(values), isVector=values.ndim > 3)
+    image.SetSpacing(grid.spacing_mm)
+    image.SetOrigin(grid.origin_mm or (0.0, 0.0, 0.0))
+    image.SetDirection(np.asarray(grid.directions).ravel().tolist())
     return image
 
 
@@ -244,27 +293,7 @@ def _axis_aligned(image: sitk.Image, interpolator: int) -> sitk.Image:
 
 
 def _volume(image: sitk.Image) -> Volume:
-    """Convert an ITK image to a volume of its voxels and geometry; all other header data are dropped."""
+    """Convert an ITK image to a volume of its voxels and geometry."""
     sx, sy, sz = image.GetSpacing()
     ox, oy, oz = image.GetOrigin()
     return Volume(sitk.GetArrayFromImage(image), (sx, sy, sz), (ox, oy, oz))
-
-
-@contextlib.contextmanager
-def _quiet() -> Iterator[None]:
-    """Suppress output that the C++ libraries print to file descriptors 1 and 2."""
-    shown = sitk.ProcessObject.GetGlobalWarningDisplay()
-    sitk.ProcessObject.SetGlobalWarningDisplay(False)
-    sys.stdout.flush()
-    sys.stderr.flush()
-    kept = [os.dup(1), os.dup(2)]
-    with tempfile.TemporaryFile() as sink:
-        try:
-            os.dup2(sink.fileno(), 1)
-            os.dup2(sink.fileno(), 2)
-            yield
-        finally:
-            for descriptor, copy in enumerate(kept, start=1):
-                os.dup2(copy, descriptor)
-                os.close(copy)
-            sitk.ProcessObject.SetGlobalWarningDisplay(shown)

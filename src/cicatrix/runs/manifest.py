@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from ..core.errors import InputError
 from ..core.threads import threads_of_libraries
 from ..core.version import __version__
+from ..files.bare_names import bare_name
 from ..files.text import sha256_of
 from .progress import Seconds
 
@@ -39,13 +40,13 @@ LIBRARIES = (
 def new_manifest(
     case: Mapping[str, Any], seed: int, inputs: Mapping[str, Path], sources: Mapping[str, str]
 ) -> dict[str, Any]:
-    """Make the manifest of a run before it starts; inputs have their name without folder, and their hash."""
+    """Make the manifest of a run before it starts; of an input it says what it is, without its name, and its hash."""
     return {
         "program": {"name": "cicatrix", "version": __version__},
         "status": {"state": "running", "sentence": "The run has started and not ended."},
         "seed": seed,
         "case": json.loads(json.dumps(case)),
-        "inputs": {key: {"name": path.name, "sha256": sha256_of(path)} for key, path in inputs.items()},
+        "inputs": {key: {"name": bare_name(path), "sha256": sha256_of(path)} for key, path in inputs.items()},
         "sources": dict(sources),
         "notes": [],
         "seconds": {},

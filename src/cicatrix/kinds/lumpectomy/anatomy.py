@@ -24,6 +24,7 @@ def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[
         If the image cannot be read or shows no breast.
     """
     image, progress = case.image, progress or Progress()
+    notes: list[str] = []
     picture, tumour = None, None
     with progress.stage("image"):
         if image.phantom is not None:
@@ -32,19 +33,14 @@ def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[
             )
             tumour = truth.position(np.argwhere(truth.values == Label.TUMOUR).mean(axis=0))
         elif image.path is not None:
-            picture = _turned(read_image(image.path), image.axes)
+            picture = read_image(image.path, note=notes.append, side=image.side, axes=image.axes, name="image.path")
     with progress.stage("segment"):
         if image.labels is not None:
-            found = from_labels(_turned(read_labels(image.labels), image.axes))
+            found = from_labels(read_labels(image.labels, note=notes.append, axes=image.axes, name="image.labels"))
         else:
             centre = case.resection.centre_mm if tumour is None else tuple(tumour.tolist())
             found = _segment(case, picture, centre, progress)
-    return Anatomy(picture, found.labels, found.probabilities, tumour), found.notes
-
-
-def _turned(volume: Volume, axes: str | None) -> Volume:
-    """Return the volume in the orientation that the case gives, in place of a wrong one in the file."""
-    return volume if axes is None else volume.from_axes(axes)
+    return Anatomy(picture, found.labels, found.probabilities, tumour), (*notes, *found.notes)
 
 
 def _segment(

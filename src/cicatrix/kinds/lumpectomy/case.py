@@ -84,13 +84,15 @@ class ChestWallTable(Table):
 class ImageTable(Table):
     """Image of the breast, and the position of the patient in it."""
 
-    path: Path | None = None  # an image file, or a folder with one DICOM series
+    path: Path | None = None  # an image file, or a folder with one DICOM series; see docs/images.md
     phantom: Literal["half-ellipsoid"] | None = None  # a synthetic breast instead of an image
     voxel_mm: Annotated[Positive, bounds(most=20.0)] = 1.0  # voxel size of the phantom
     weighting: Literal["t1", "t1-fatsat"] = "t1"  # contrast of the MR image: T1, without or with fat suppression
     position: Position = "prone"  # position of the patient in the image
     side: Literal["left", "right"] = "left"  # the breast that is operated on
-    axes: str | None = None  # patient directions of the file's x, y, z, such as "RIA", if the file has them wrong
+    axes: str | None = (
+        None  # patient directions of the file's x, y, z, such as "RIA", if its header lacks them or is wrong
+    )
     plane: Literal["axial", "sagittal"] = "axial"  # plane of the section; for dimension = 2
     slice_mm: Number | None = None  # place of the section along its normal, LPS; default: the resection's centre
     labels: Path | None = None  # label map of the tissues, used instead of the automatic segmentation
