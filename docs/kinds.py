@@ -95,7 +95,7 @@ def value_of(annotation: Any) -> Value:
         return Value(f"list of {_plural(each.type)}", rules, each.tables, is_list=True)
     if origin is dict:
         each = value_of(parts[1])
-        return Value(f"table: a {each.type} for each name", (), each.tables)
+        return Value(f"table: a {each.type} for each name", tuple(f"each {rule}" for rule in each.rules), each.tables)
     if isinstance(annotation, ForwardRef) or issubclass(annotation, Table):
         return Value("table", (), () if isinstance(annotation, ForwardRef) else (annotation,))
     return Value(WORDS[annotation])

@@ -53,7 +53,8 @@ def test_the_examples_are_accepted(kind, page, tmp_path):
     for name in names:
         assert check_case(kinds.DOCS.parent / name) == []
     first = kinds.DOCS.parent / names[0]
-    (tmp_path / "breast.nii.gz").touch()
+    for image in ("breast.nii.gz", "breast.seg.nrrd"):
+        (tmp_path / image).touch()
     for block in toml_blocks(page):
         part = tomllib.loads(block)
         if "kind" not in part:

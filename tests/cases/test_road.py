@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import cicatrix
-from cicatrix.files.images import read_labels, write_volume
+from cicatrix.files.images import write_volume
+from cicatrix.files.segmentations import read_labels
 from cicatrix.image.phantom import phantom
 
 CASE = """

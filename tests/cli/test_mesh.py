@@ -46,10 +46,16 @@ def test_one_sentence(name, words, labels, tmp_path, capsys):
     assert words in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(("given", "words"), [("3=skin", 'has no segment "3"'), ("2", "must be NAME=TISSUE")])
+def test_tissues_are_named_for_segments_that_are_there(given, words, labels, tmp_path, capsys):
+    assert main(["mesh", str(labels), "--out", str(tmp_path / "body.vtu"), "--label-name", given]) == 2
+    assert words in capsys.readouterr().err
+
+
 def test_a_body_that_nothing_holds(tmp_path, capsys):
     values = np.zeros((24, 24, 24), np.uint8)
     values[6:18, 6:18, 6:18] = Label.FAT
-    write_volume(tmp_path / "labels.nii.gz", Volume(values, (2.0, 2.0, 2.0), (0.0, 0.0, 0.0)))
+    write_volume(tmp_path / "labels.nii.gz", Volume(values, (3.5, 3.5, 3.5), (0.0, 0.0, 0.0)))
     assert main(["mesh", str(tmp_path / "labels.nii.gz"), "--out", str(tmp_path / "body.vtu")]) == 2
     assert "nothing supports it" in capsys.readouterr().err
     assert not (tmp_path / "body.vtu").exists()

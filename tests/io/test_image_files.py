@@ -12,7 +12,8 @@ import pytest
 import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
 
 from cicatrix.core.errors import InputError
-from cicatrix.files.images import open_image, read_image, read_labels
+from cicatrix.files.images import open_image, read_image
+from cicatrix.files.segmentations import read_labels
 
 BODY = np.random.default_rng(5).integers(0, 1000, (8, 10, 12)).astype(np.int16)  # z, y, x; 3 mm each
 FORMATS = ("nii", "nii.gz", "nrrd", "nhdr", "mha", "mhd")

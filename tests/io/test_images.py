@@ -11,7 +11,8 @@ import pytest
 import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
 
 from cicatrix.core.errors import InputError
-from cicatrix.files.images import read_image, read_labels, write_volume
+from cicatrix.files.images import read_image, write_volume
+from cicatrix.files.segmentations import read_labels
 from cicatrix.geometry.volume import Volume
 
 DATA = Path(os.environ.get("CICATRIX_DATA", Path(__file__).parents[3] / "shared" / "data"))

@@ -617,7 +617,9 @@ def test_marks_that_are_no_marks_are_told(values, sentence, tmp_path):
 def test_a_missing_package_is_named(name, package, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, package, None)
     text = '<Xdmf Version="3.0"><Domain><Grid><Topology TopologyType="Tetrahedron"><DataItem Format="HDF">a.h5:/x</DataItem>'
-    (tmp_path / name).write_text(text + "</Topology></Grid></Domain></Xdmf>" if name == "a.xdmf" else "\x89HDF", "latin-1")
+    (tmp_path / name).write_text(
+        text + "</Topology></Grid></Domain></Xdmf>" if name == "a.xdmf" else "\x89HDF", "latin-1"
+    )
     with pytest.raises(
         InputError, match=rf"files that end in \{name[1:]} need the package {package}: pip install {package}"
     ):

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from cicatrix.core.errors import InputError
-from cicatrix.files.images import read_image, read_labels
+from cicatrix.files.images import read_image
+from cicatrix.files.segmentations import read_labels
 from cicatrix.geometry import meshing3d
 from cicatrix.geometry.bcc import bcc_lattice
 from cicatrix.geometry.isosurface import isosurface, segmented_body

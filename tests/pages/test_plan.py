@@ -92,6 +92,17 @@ def test_the_image_is_found_from_where_the_case_lies(tmp_path):
     assert str(tmp_path) not in path.read_text()
 
 
+def test_tissues_that_the_user_names_are_in_the_case(tmp_path):
+    write_volume(tmp_path / "labels.nii.gz", grid())
+    names = {"2": "fat", "4": "tumour"}
+    path = save_case(
+        build_table(tmp_path / "labels.nii.gz", tmp_path / "labels.nii.gz", names),
+        ResectionPlan(centre_mm=CENTRE),
+        tmp_path,
+    )
+    assert load_case(path).image.label_names == names
+
+
 def test_another_wish_gets_another_file_and_the_same_keeps_its_own(table, tmp_path):
     first, second = ResectionPlan(centre_mm=CENTRE), ResectionPlan(centre_mm=CENTRE, radius_mm=9.0)
     names = [save_case(table, plan, tmp_path).name for plan in (first, second, first)]
@@ -252,6 +263,8 @@ def test_a_run_that_is_refused_says_why(server):
     [
         (["missing.nii.gz"], "there is no such image"),
         (["--labels", "labels.nii.gz"], "needs an IMAGE"),
+        (["--label-name", "FGT=gland"], "needs --labels"),
+        (["--label-name", "FGT=bone"], 'must be NAME=TISSUE, each name once, with "air", "fat"'),
         (["--port", "99999", "--no-browser"], "--port"),
     ],
 )

@@ -13,7 +13,8 @@ from matplotlib.figure import Figure
 
 from cicatrix.cli.main import main
 from cicatrix.core.errors import InputError
-from cicatrix.files.images import read_image, read_labels
+from cicatrix.files.images import read_image
+from cicatrix.files.segmentations import read_labels
 from cicatrix.pages.bodies import scene, shapes_of
 from cicatrix.pages.checks import checks_of
 from cicatrix.pages.cosmesis import lines_of

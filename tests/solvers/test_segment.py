@@ -10,7 +10,8 @@ from scipy import ndimage as ndi
 from cicatrix.cli import segment as verb
 from cicatrix.cli.arguments import build_parser
 from cicatrix.core.errors import InputError
-from cicatrix.files.images import read_image, read_labels, write_volume
+from cicatrix.files.images import read_image, write_volume
+from cicatrix.files.segmentations import read_labels
 from cicatrix.geometry.volume import Volume
 from cicatrix.image import wall
 from cicatrix.image.classify import gland_probability

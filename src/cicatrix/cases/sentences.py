@@ -17,8 +17,8 @@ TYPE_WORDS = {
     "string_type": "must be a text",
     "path_type": "must be a text that names a file",
     "tuple_type": "must be a list",
-    "model_type": "must be a table",
     "dict_type": "must be a table",
+    "model_type": "must be a table",
 }
 
 

@@ -101,6 +101,11 @@ def _segment(verbs: argparse._SubParsersAction) -> None:
     )
 
 
+def _add_label_names(parser: argparse.ArgumentParser) -> None:
+    words = "tissue of a segment, or of a value, that is not known, such as FGT=gland or 7=skin; may be repeated"
+    parser.add_argument("--label-name", metavar="NAME=TISSUE", action="append", default=[], help=words)
+
+
 def _mesh(verbs: argparse._SubParsersAction) -> None:
     parser = verbs.add_parser("mesh", help="mesh a labelled breast with tetrahedra, for cases of kind equilibrium")
     parser.add_argument(
@@ -109,6 +114,7 @@ def _mesh(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument("--out", type=_path, required=True, metavar="FILE", help="VTU file to write; must not exist")
     parser.add_argument("--edge-mm", type=_number, default=5.0, help="element edge [mm], 5 by default")
     _add_axes(parser)
+    _add_label_names(parser)
 
 
 def _fit(verbs: argparse._SubParsersAction) -> None:
@@ -154,6 +160,7 @@ def _plan(verbs: argparse._SubParsersAction) -> None:
         help="NIfTI, NRRD or MHA file, or a DICOM folder (default: the built-in phantom)",
     )
     parser.add_argument("--labels", metavar="FILE", type=_path, help="label map to use instead of segmenting the image")
+    _add_label_names(parser)
     parser.add_argument("--weighting", choices=("t1", "t1-fatsat"), default="t1")
     parser.add_argument("--side", choices=("left", "right"), default="left", help="side of the patient's breast")
     parser.add_argument(

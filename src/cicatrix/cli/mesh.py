@@ -6,8 +6,9 @@ import argparse
 from pathlib import Path
 
 from ..core.errors import InputError
-from ..files.images import read_labels
 from ..files.meshes import write_body
+from ..files.segmentations import read_labels
+from ..files.segments import names_given
 from ..image.segment import from_labels
 from ..kinds.lumpectomy.body import Anatomy
 from ..kinds.lumpectomy.case import TissueTable
@@ -22,7 +23,8 @@ def run(args: argparse.Namespace) -> int:
     if out.exists():
         raise InputError(f"--out: {out.name} already exists; give a new name.")
     notes: list[str] = []
-    found = from_labels(read_labels(args.labels, note=notes.append, axes=args.axes))
+    names = names_given(args.label_name)
+    found = from_labels(read_labels(args.labels, names, notes.append, axes=args.axes))
     mesh, E, nu, density = meshed_labels(Anatomy(None, found.labels, found.probabilities), args.edge_mm, TissueTable())
     write_body(out, mesh, E, nu, density)
     for note in (*notes, *found.notes, *mesh.notes):

@@ -5,13 +5,18 @@ from __future__ import annotations
 import argparse
 import tempfile
 import webbrowser
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from ..core.errors import InputError
-from ..files.images import read_labels, read_thinned
+from ..files.images import read_thinned
 from ..files.pictures import picture
+from ..files.segmentations import read_labels
+from ..files.segments import names_given
 from ..image.phantom import phantom
 from ..image.segment import from_labels, segment
+from ..kinds.lumpectomy.anatomy import matched
 from ..kinds.lumpectomy.case import ImageTable, LumpectomyRunTable
 from ..pages.planning import PlanningTable
 from ..pages.server import Planner, PlanServer
@@ -27,6 +32,7 @@ def run(args: argparse.Namespace) -> int:
     table = build_table(
         args.image,
         args.labels,
+        names_given(args.label_name),
         weighting=args.weighting,
         side=args.side,
         position=args.position,
@@ -52,6 +58,7 @@ def run(args: argparse.Namespace) -> int:
 def build_table(
     image: Path | None,
     labels: Path | None = None,
+    names: Mapping[str, str] | None = None,
     *,
     weighting: str = "t1",
     side: str = "left",
@@ -63,9 +70,11 @@ def build_table(
     Raises
     ------
     InputError
-        If the image cannot be read or shows no breast, or if there are labels but no image.
+        If the image cannot be read or shows no breast, or if there are labels but no image, or names but no labels.
     """
-    keys = {"side": side, "weighting": weighting, "position": position}
+    keys: dict[str, Any] = {"side": side, "weighting": weighting, "position": position}
+    if names and labels is None:
+        raise InputError("--label-name needs --labels as well")
     if image is None:
         if labels is not None:
             raise InputError("--labels needs an IMAGE as well")
@@ -77,8 +86,9 @@ def build_table(
     shown, also_thinned = picture(volume)
     keys |= {"path": image.resolve()} | ({} if axes is None else {"axes": axes})
     if labels is not None:
-        found = from_labels(read_labels(labels, note=notes.append, axes=axes))
-        keys |= {"labels": labels.resolve()}
+        found = from_labels(read_labels(labels, names, notes.append, axes=axes))
+        notes += matched(found.labels, volume)
+        keys |= {"labels": labels.resolve()} | ({"label_names": dict(names)} if names else {})
     else:
         print("segmenting ...", flush=True)
         found = segment(volume, weighting=weighting, side=side, position=position)

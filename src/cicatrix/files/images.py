@@ -15,7 +15,6 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import InputError
-from ..geometry.labels import Label
 from ..geometry.volume import AXES, TOWARDS, Volume
 from ..image.intensities import from_zero
 from .dicom import read_dicom
@@ -102,26 +101,14 @@ def read_thinned(
         return _volume(_axis_aligned(_itk(_intensities(values, note), grid), sitk.sitkLinear))
 
 
-def read_labels(path: str | Path, *, note: Note = unheard, axes: str | None = None, name: str | None = None) -> Volume:
-    """Read a label map (0 air, 1 fat, 2 gland, 3 skin, 4 tumour, 5 chest) onto an axis-aligned LPS grid.
-
-    Returns
-    -------
-    Volume
-        values (nz, ny, nx) uint8; oblique maps are resampled by the nearest voxel.
-
-    Raises
-    ------
-    InputError
-        As :func:`read_image`, or if there are labels other than whole numbers 0 to 5, or no voxel of the breast (1 to 4).
-    """
-    with _named(Path(path), name):
-        stored = _stored(Path(path), note, None, axes)
-        _check_labels(stored.values)
-        return _volume(_axis_aligned(_itk(stored.values.astype(np.uint8), stored.grid), sitk.sitkNearestNeighbor))
-
-
-def open_image(path: str | Path, layers: bool = False, *, note: Note = unheard, axes: str | None = None) -> sitk.Image:
+def open_image(
+    path: str | Path,
+    layers: bool = False,
+    *,
+    note: Note = unheard,
+    axes: str | None = None,
+    name: str | None = None,
+) -> sitk.Image:
     """Read a 3-D image as the file stores it, with pairs of its header; with ``layers``, a voxel may have several values.
 
     Raises
@@ -129,7 +116,7 @@ def open_image(path: str | Path, layers: bool = False, *, note: Note = unheard, 
     InputError
         As :func:`read_image`.
     """
-    with _named(Path(path), None):
+    with _named(Path(path), name):
         stored = _stored(Path(path), note, None, axes, layers=layers)
         image = _itk(stored.values, stored.grid)
     for key, value in stored.fields.items():
@@ -144,17 +131,6 @@ def labels_on(image: sitk.Image, values: np.ndarray) -> Volume:
     labels.SetOrigin(image.GetOrigin())
     labels.SetDirection(image.GetDirection())
     return _volume(_axis_aligned(labels, sitk.sitkNearestNeighbor))
-
-
-def _check_labels(values: np.ndarray) -> None:
-    strange = sorted({float(v) for v in np.unique(values)} - {float(label) for label in Label})
-    if strange:
-        shown = ", ".join(f"{v:g}" for v in strange[:3])
-        raise InputError(
-            f"a label map has only 0 air, 1 fat, 2 gland, 3 skin, 4 tumour and 5 chest; this one also has {shown}"
-        )
-    if not ((values > Label.AIR) & (values < Label.CHEST)).any():
-        raise InputError("the label map has no voxel of the breast (1 fat, 2 gland, 3 skin, 4 tumour)")
 
 
 def write_volume(path: str | Path, volume: Volume) -> None:

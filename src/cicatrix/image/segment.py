@@ -2,28 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage as ndi
-from scipy.interpolate import RBFInterpolator
 
 from ..core.errors import InputError
 from ..geometry.labels import TISSUES, Label
 from ..geometry.volume import Volume
-from . import wall
 from .bias import remove_bias
+from .chest import ChestWall, find_chest
 from .classify import bright_mass, gland_probability, skin_probability
+from .judge import judge, judge_labels
 
-COARSE_MM = 2.0  # voxel edge of the grid on which the chest wall is searched
 EDGE_MM = 3.0  # largest depth of the skin's edge below the rough outline
 EDGE_SHARE_T1, EDGE_SHARE_FATSAT = 0.2, 0.5  # level of that edge between air (0) and the brightest tissue near it (1)
 MIN_BODY_ML = 50.0
 MIN_CONTRAST = 3.0  # smallest ratio of the median intensities of body and air
 
 Report = Callable[[str, float], None]
-ChestWall = Mapping[str, object] | np.ndarray | Sequence
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,8 @@ def segment(
     Raises
     ------
     InputError
-        If an option is unknown, the image shows no body or no breast, or the given chest wall is unusable.
+        If an option is unknown, the image shows no body or no breast, the given chest wall is unusable, or what is found cannot
+        be a breast (`judge`).
     """
     report = report or (lambda stage, fraction: None)
     _check_words(weighting, side, position)
@@ -88,33 +87,36 @@ def segment(
     report("bias field", 0.1)
     flat = remove_bias(image, body)
     report("chest wall", 0.5)
-    behind, columns, note = _chest(flat, body, weighting == "t1", side, chest_wall)
-    breast = body & ~behind & columns[:, None, :]
-    breast = _largest(breast)
-    body |= np.maximum.accumulate(body, axis=1) & behind  # dark lungs belong to the body
+    chest = find_chest(flat, body, weighting == "t1", side, chest_wall)
+    breast = _largest(body & ~chest.behind & chest.columns[:, None, :])
+    body |= np.maximum.accumulate(body, axis=1) & chest.behind  # dark lungs belong to the body
     report("tissue", 0.65)
     box = _box(breast)
     probabilities, mass = _tissue(flat, body, breast, box, weighting, resection_centre_mm)
     labels = _labels(probabilities, body, breast)
-    notes = (f"{weighting}, {side} breast, {position}; N4 bias field, skin at its edge to air", note, mass)
+    doubt = judge(flat.with_values(labels), flat, probabilities[0], chest, side)
+    how = f"{weighting}, {side} breast, {position}; N4 bias field, skin at its edge to air"
     report("done", 1.0)
-    return Segmentation(image.with_values(labels), image.with_values(probabilities), tuple(n for n in notes if n))
+    notes = tuple(note for note in (how, chest.note, mass, doubt) if note)
+    return Segmentation(image.with_values(labels), image.with_values(probabilities), notes)
 
 
 def from_labels(labels: Volume) -> Segmentation:
-    """Return the segmentation of an imported label map; probabilities are its labels smoothed over half a voxel in the breast."""
+    """Return the segmentation of an imported label map; probabilities are its labels smoothed over half a voxel in the breast.
+
+    Raises
+    ------
+    InputError
+        If the label map has no voxel of the breast, or the breast cannot have its size (`judge_labels`).
+    """
     values = labels.values.astype(np.uint8)
     breast = (values > Label.AIR) & (values < Label.CHEST)
     if not breast.any():
         raise InputError("labels: the label map has no voxel of the breast; at least one of 1, 2, 3, 4 is needed.")
     soft = np.stack([ndi.gaussian_filter((values == t).astype(np.float32), 0.5) * breast for t in TISSUES])
     soft /= np.maximum(soft.sum(axis=0), 1e-6)
-    notes = ["labels imported"]
-    if not (values == Label.CHEST).any():
-        faces = [breast.take(end, axis=axis).any() for axis in range(3) for end in (0, -1)]
-        touched = [f for f, hit in zip(("z low", "z high", "y low", "y high", "x low", "x high"), faces) if hit]
-        notes.append(f"no chest label; the breast touches the image at {', '.join(touched) or 'no face'}")
-    return Segmentation(labels.with_values(values), labels.with_values(soft), tuple(notes))
+    notes = ("labels imported", *judge_labels(labels.with_values(values)))
+    return Segmentation(labels.with_values(values), labels.with_values(soft), notes)
 
 
 def _check_words(weighting: str, side: str, position: str) -> None:
@@ -185,75 +187,6 @@ def _largest(mask: np.ndarray) -> np.ndarray:
 def _filled(mask: np.ndarray) -> np.ndarray:
     """Fill the holes of a mask in each axial slice."""
     return np.stack([ndi.binary_fill_holes(s) for s in mask])  # pyright: ignore[reportCallIssue]
-
-
-def _chest(
-    flat: Volume, body: np.ndarray, fat_bright: bool, side: str, given: ChestWall | None
-) -> tuple[np.ndarray, np.ndarray, str]:
-    """Return masks of the voxels behind the chest wall (nz, ny, nx) and of the columns of the breast (nz, nx), and a note."""
-    coarse, solid = _coarse(flat, body)
-    x_mm, skin = coarse.axis(2), coarse.origin_mm[1] + wall.front(solid) * coarse.spacing_mm[1]
-    sign = 1.0 if side == "left" else -1.0
-    midline = wall.find_midline(skin, x_mm, sign)
-    if given is None:
-        surface = wall.wall_surface(coarse, wall.prior(skin, x_mm, midline), fat_bright)
-        surface, settled = wall.follow_contour(coarse, solid, surface, skin, sign * (x_mm - midline) > 0)
-        how = (
-            "by search, refined by a localized contour"
-            if settled
-            else "by search; the localized contour did not converge"
-        )
-        note = f"chest wall automatic ({how}), midline at x = {midline:.0f} mm"
-    else:
-        surface, note = _given_wall(given, coarse)
-    last = flat.axis(1)[-1]
-    surface = np.minimum(surface, last - 1.0)  # the wall must lie within the image
-    columns = wall.foot(surface - skin, sign * (x_mm - midline) > 0, (coarse.spacing_mm[2], coarse.spacing_mm[0]))
-    fine_surface = _refine(surface, coarse, flat)
-    fine_columns = _refine(ndi.gaussian_filter(columns.astype(float), 1.0), coarse, flat) > 0.2  # slightly too wide
-    return flat.axis(1)[None, :, None] > fine_surface[:, None, :], fine_columns, note
-
-
-def _given_wall(given: ChestWall, grid: Volume) -> tuple[np.ndarray, str]:
-    """Return the y of the wall (nz, nx) [mm] from a given plane or points, and a note."""
-    x, z = grid.axis(2)[None, :], grid.axis(0)[:, None]
-    if isinstance(given, Mapping):
-        point, normal = (np.asarray(given[k], float) for k in ("point_mm", "normal"))
-        if point.shape != (3,) or normal.shape != (3,) or abs(normal[1]) < 0.2 * np.linalg.norm(normal):
-            raise InputError("chest_wall: the plane's normal must point to the front or back (|y| at least 0.2 of it).")
-        return point[1] - ((x - point[0]) * normal[0] + (z - point[2]) * normal[2]) / normal[
-            1
-        ], "chest wall: given plane"
-    points = np.asarray(given, float)
-    if points.ndim != 2 or points.shape[1] != 3 or len(points) < 4:
-        raise InputError("chest_wall: give at least 4 points of x, y, z in mm, not all on one line.")
-    try:
-        spline = RBFInterpolator(points[:, [2, 0]], points[:, 1])
-    except (np.linalg.LinAlgError, ValueError):
-        raise InputError("chest_wall: the points lie on one line seen from the front; spread them out.") from None
-    where = np.stack(np.broadcast_arrays(z, x), axis=-1).reshape(-1, 2)
-    return spline(where).reshape(z.size, x.size), f"chest wall: spline through {len(points)} given points"
-
-
-def _coarse(flat: Volume, body: np.ndarray) -> tuple[Volume, np.ndarray]:
-    """Return image and body mask resampled to a grid of about 2 mm."""
-    size = np.asarray(flat.spacing_mm[::-1])
-    factor = np.maximum(COARSE_MM / size, 1e-9)
-    shape = np.maximum(np.round(np.asarray(flat.shape) / factor).astype(int), 2)
-    true = (np.asarray(flat.shape) - 1) / (shape - 1)
-    sigma = np.where(true > 1, 0.4 * true, 0)
-    index = np.meshgrid(*[np.arange(n) * t for n, t in zip(shape, true)], indexing="ij")
-    values = ndi.map_coordinates(ndi.gaussian_filter(flat.values, sigma), index, order=1)
-    solid = ndi.map_coordinates(ndi.gaussian_filter(body.astype(np.float32), sigma), index, order=1) > 0.5
-    sz, sy, sx = (true * size).tolist()
-    return Volume(values, (sx, sy, sz), flat.origin_mm), solid
-
-
-def _refine(field: np.ndarray, coarse: Volume, fine: Volume) -> np.ndarray:
-    """Interpolate a height map (nz, nx) from the coarse to the fine grid."""
-    z = (fine.axis(0) - coarse.origin_mm[2]) / coarse.spacing_mm[2]
-    x = (fine.axis(2) - coarse.origin_mm[0]) / coarse.spacing_mm[0]
-    return ndi.map_coordinates(field, np.meshgrid(z, x, indexing="ij"), order=1, mode="nearest")
 
 
 def _box(mask: np.ndarray) -> tuple[slice, slice, slice]:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from ..core.errors import InputError
-from ..files.images import read_image, read_labels, write_volume
+from ..files.images import read_image, write_volume
 from ..files.pictures import picture
+from ..files.segmentations import read_labels
 from ..geometry.labels import Label
 from ..geometry.volume import Volume
 from .packing import encoded

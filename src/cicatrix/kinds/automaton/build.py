@@ -8,6 +8,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.units import mm_from_um
+from ...files.arrays import read_array
 from ...geometry.hexgrid import Lattice
 from ...healing.automaton import Automaton
 from ...healing.cue import Cue
@@ -54,7 +55,7 @@ def cue_of(case: AutomatonCase) -> Cue:
         If the file of the cue does not contain numbers.
     """
     if isinstance(case.cue.W, Path):
-        W = _read_array(case.cue.W, "cue.W")
+        W = read_array(case.cue.W, "cue.W")
         if W.dtype.kind not in "fiu":
             raise InputError(f"cue.W must hold numbers; {case.cue.W.name} holds {W.dtype}")
         return Cue(W.astype(float), case.cue.W_ref)
@@ -80,15 +81,8 @@ def _open_sites(case: AutomatonCase, lattice: Lattice) -> np.ndarray:
     return lattice.near_middle(mm_from_um(radius))
 
 
-def _read_array(path: Path, key: str) -> np.ndarray:
-    try:
-        return np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError):
-        raise InputError(f"{key}: {path.name} is not a NumPy file (.npy) that can be read") from None
-
-
 def _read_mask(path: Path, key: str, lattice: Lattice) -> np.ndarray:
-    mask = _read_array(path, key)
+    mask = read_array(path, key)
     if mask.shape != lattice.shape or mask.dtype.kind not in "bui":
         raise InputError(
             f"{key} must be a mask (true or false, or 0 and 1) of the lattice's shape {list(lattice.shape)}; "

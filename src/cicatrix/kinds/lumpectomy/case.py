@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import model_validator
+from pydantic import Field, model_validator
 
 from ...cases.bounds import (
     Ascending,
@@ -46,6 +46,7 @@ from .sites import box_around, too_many
 from .sources import sources_of
 
 Position = Literal["prone", "supine", "upright"]
+Tissue = Literal["air", "fat", "gland", "skin", "tumour", "chest"]
 # keys of `healing` that belong to one model alone, by the name of the model
 MODEL_KEYS: dict[str, tuple[str, ...]] = {
     "automaton": (
@@ -96,6 +97,8 @@ class ImageTable(Table):
     plane: Literal["axial", "sagittal"] = "axial"  # plane of the section; for dimension = 2
     slice_mm: Number | None = None  # place of the section along its normal, LPS; default: the resection's centre
     labels: Path | None = None  # label map of the tissues, used instead of the automatic segmentation
+    # tissue by the name of a segment in `labels`, or by a value of a label map, where it is not known: "FGT left" = "gland"
+    label_names: dict[str, Tissue] = Field(default_factory=dict)
     chest_wall: ChestWallTable | None = None  # found automatically by default
 
     @model_validator(mode="after")
@@ -107,6 +110,8 @@ class ImageTable(Table):
             raise fault("axes", f'{words}; got "{self.axes}"')
         if self.phantom is not None and self.labels is not None:
             raise fault("labels", "and phantom exclude each other: the phantom has its own labels")
+        if self.label_names and self.labels is None:
+            raise fault("label_names", "belongs to image.labels, which is left out")
         if self.path is None and self.phantom is None and self.labels is None:
             raise fault(
                 "path", 'is missing: name an image, or a label map by labels, or set phantom = "half-ellipsoid"'
