@@ -4,6 +4,10 @@ import nox
 
 nox.options.sessions = ["lint", "types", "layers", "test"]
 nox.options.reuse_existing_virtualenvs = True
+nox.options.default_venv_backend = (
+    "uv|virtualenv"  # uv, where it is installed, fetches a version of Python that is missing
+)
+PYTHONS = ("3.11", "3.12", "3.13")  # as in the classifiers of pyproject.toml
 
 
 @nox.session
@@ -28,9 +32,9 @@ def layers(session: nox.Session) -> None:
     session.run("lint-imports")
 
 
-@nox.session
+@nox.session(python=PYTHONS)
 def test(session: nox.Session) -> None:
-    """Run the tests against the installed package."""
+    """Run the tests against the installed package, on every version of Python that is found."""
     session.install(".[test]")
     session.run("pytest", *(session.posargs or ["-n", "2"]))
 

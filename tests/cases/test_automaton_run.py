@@ -14,7 +14,8 @@ from cicatrix.geometry.hexgrid import Lattice
 from cicatrix.healing.automaton import NativeCore
 from cicatrix.healing.reference import ReferenceCore
 from cicatrix.kinds.automaton import run as automaton_run
-from cicatrix.kinds.automaton.build import automaton_of, inradius_um
+from cicatrix.kinds.automaton.build import automaton_of
+from cicatrix.kinds.automaton.case import LatticeTable
 from cicatrix.kinds.registry import check_case, load_case
 from cicatrix.runs import driver
 
@@ -208,5 +209,9 @@ def test_a_lattice_beyond_memory_is_told(case_file, tmp_path, monkeypatch):
 
 
 def test_the_largest_disc_just_fits():
-    lattice = Lattice((80, 60), 0.01, (0.0, 0.0))
-    assert inradius_um(lattice) == pytest.approx(10.0 * 59 * np.sqrt(3) / 4)
+    """Against the distance of opposite sides of the block, from the inverse of its basis."""
+    for kind, size in (("hex", (80, 60)), ("fcc", (30, 20, 25))):
+        lattice = Lattice(size, 0.01, (0.0,) * len(size))
+        heights = 1.0 / np.linalg.norm(np.linalg.inv(lattice.basis_mm), axis=0)
+        largest = 1e3 * np.min((np.array(size) - 1) * heights) / 2
+        assert LatticeTable(type=kind, size=size).inradius_um == pytest.approx(largest)

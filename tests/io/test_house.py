@@ -109,3 +109,34 @@ def test_importing_the_package_alone_is_light():
     code = "import sys, cicatrix; print(sorted({'numpy', 'jax', 'pydantic'} & set(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+def requirements():
+    """Return name -> bounds of every library that pyproject.toml asks for, without markers and extras."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    asked = [*project["dependencies"], *(line for lines in project["optional-dependencies"].values() for line in lines)]
+    parts = [re.fullmatch(r"([\w.-]+)(?:\[[\w,]+\])?([^;]*)(?:;.*)?", line.strip()) for line in asked]
+    return {part[1]: part[2].strip() for part in parts if part[1] != "cicatrix"}
+
+
+def rows_of(text, marker):
+    lines = text.partition(f"<!-- {marker} -->")[2].partition(f"<!-- /{marker} -->")[0].strip().splitlines()
+    return [[cell.strip() for cell in line.strip("|").split("|")] for line in lines[2:]]
+
+
+def test_every_library_has_its_line_among_the_licences():
+    rows = rows_of((ROOT / "docs" / "licences.md").read_text(encoding="utf-8"), "libraries")
+    assert {row[0]: row[1].strip("`") for row in rows} == requirements()
+    assert all(len(row) == 5 and all(row) for row in rows)
+    bounded = {row[0] for row in rows if "<" in row[1]}
+    assert {row[0] for row in rows if not row[4].startswith("none")} == bounded
+    assert [row[0] for row in rows if re.search(r"(?<!L)GPL", row[2])] == []
+
+
+def test_the_versions_of_python_are_named_alike():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    named = [word.split()[-1] for word in project["classifiers"] if re.search(r"Python :: 3\.\d+$", word)]
+    tasks = re.search(r"PYTHONS = \((.*?)\)", (ROOT / "noxfile.py").read_text(encoding="utf-8"))[1]
+    assert re.findall(r"[\d.]+", tasks) == named
+    assert project["requires-python"] == f">={named[0]}"
+    assert f"{', '.join(named[:-1])} and {named[-1]}." in (ROOT / "docs" / "licences.md").read_text(encoding="utf-8")

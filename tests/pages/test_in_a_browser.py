@@ -13,8 +13,9 @@ from matplotlib import image
 from cicatrix.cli.plan import build_table
 from cicatrix.files.images import write_volume
 from cicatrix.image.phantom import phantom
+from cicatrix.pages.planner import Planner
 from cicatrix.pages.report import write_comparison, write_report
-from cicatrix.pages.server import Planner, PlanServer
+from cicatrix.pages.server import PlanServer
 
 from .conftest import write_run
 

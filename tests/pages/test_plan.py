@@ -8,6 +8,7 @@ import sys
 from contextlib import closing
 from http.client import HTTPConnection
 from threading import Thread
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -19,9 +20,12 @@ from cicatrix.files.images import read_thinned, write_volume
 from cicatrix.files.pictures import picture
 from cicatrix.geometry.labels import Label
 from cicatrix.geometry.volume import Volume
+from cicatrix.kinds.lumpectomy.build import MODELS
+from cicatrix.kinds.lumpectomy.case import MODEL_WORDS
 from cicatrix.kinds.registry import load_case
+from cicatrix.pages.planner import Planner
 from cicatrix.pages.planning import PlanningTable, ResectionPlan, save_case
-from cicatrix.pages.server import MAX_BYTES, Planner, PlanServer
+from cicatrix.pages.server import MAX_BYTES, PlanServer
 
 from .conftest import CENTRE, grid
 
@@ -49,6 +53,20 @@ def test_what_lies_under_the_skin_stays(table):
     assert found["depth_mm"] == pytest.approx(5.5, abs=0.51)
 
 
+def test_a_point_beyond_the_breast_is_not_inside_it(table):
+    """The surface of the cube lies at -0.5 mm and at 40.5 mm; the image ends at 45.5 mm."""
+    for point, away in (((-3.5, 20.0, 20.0), 3.0), ((20.0, 20.0, 90.0), 49.5), ((-78.0, 20.0, 20.0), 77.5)):
+        found = table.measured(ResectionPlan(centre_mm=point))
+        assert found["depth_mm"] == pytest.approx(-away)
+        assert any(f"{away:.1f} mm from it" in words for words in found["warnings"])
+    assert table.measured(ResectionPlan(centre_mm=(20.0, 20.0, 900.0), radius_mm=2.0))["removed_ml"] == 0.0
+
+
+def test_the_models_of_a_plan_are_those_of_a_case():
+    named = get_args(ResectionPlan.model_fields["model"].annotation)
+    assert set(named) == set(MODELS) == set(MODEL_WORDS)
+
+
 def test_the_margin_is_that_around_the_tumour(table):
     found = table.measured(ResectionPlan(centre_mm=(22.0, 20.0, 20.0), radius_mm=9.0, margin_mm=3.0))
     assert found["margin_mm"] == pytest.approx(9.0 - 2.0 - 5.0, abs=1.0)  # 2 mm off a tumour of 5 mm, in voxels of 1
@@ -59,6 +77,7 @@ def test_the_margin_is_that_around_the_tumour(table):
     ("plan", "says"),
     [
         ({"centre_mm": (1.0, 20.0, 20.0)}, "at least 3 mm inside"),
+        ({"centre_mm": (-30.0, 20.0, 20.0)}, "outside the breast that is labelled, 29.5 mm from it"),
         ({"centre_mm": CENTRE, "radius_mm": 25.0}, "largest ball"),
     ],
 )
@@ -118,7 +137,14 @@ def test_a_wish_that_makes_no_case_writes_nothing(tmp_path):
 
 @pytest.mark.parametrize(
     "content",
-    [{}, {"centre_mm": [1, 2]}, {"centre_mm": CENTRE, "radius_mm": -1.0}, {"centre_mm": CENTRE, "more": 1}, []],
+    [
+        *({}, [], {"centre_mm": [1, 2]}, {"centre_mm": CENTRE, "more": 1}, {"centre_mm": [0.0, 0.0, 1e308]}),
+        *(
+            {"centre_mm": CENTRE, "radius_mm": value}
+            for value in (-1.0, 0.0, 1e308, float("nan"), float("inf"), 10**400)
+        ),
+        *({"centre_mm": CENTRE, "model": value} for value in ("automata", None, ["fields"])),
+    ],
 )
 def test_what_is_no_wish_is_refused(content):
     with pytest.raises(InputError):
@@ -204,7 +230,8 @@ def test_a_wrong_token_or_a_second_origin_is_refused(server, strange):
 def test_a_form_of_another_site_cannot_speak_to_it(server):
     """Another site may send plain text without permission, but not JSON."""
     status, body, _ = answer(server, "start", b'{"centre_mm": [1, 2, 3]}', kind="text/plain")
-    assert (status, json.loads(body)) == (422, {"error": "a request must be JSON"})
+    assert status == 415
+    assert "must be JSON" in json.loads(body)["error"]
 
 
 @pytest.mark.parametrize(
@@ -227,12 +254,13 @@ def test_no_file_outside_is_served(server, path):
 @pytest.mark.parametrize(
     ("path", "content", "status", "says"),
     [
-        ("measure", b"{", 422, "must be JSON"),
+        ("measure", b"{", 400, "must be JSON"),
         ("measure", {"centre_mm": "here"}, 422, "centre_mm"),
-        ("measure", b" " * (MAX_BYTES + 1), 422, "shorter"),
+        ("measure", b" " * (MAX_BYTES + 1), 413, "shorter"),
         ("report", {}, 422, "no run to report on"),
         ("nothing", {}, 404, "no action of this name"),
     ],
+    ids=["not JSON", "no number", "too long", "no run", "no action"],
 )
 def test_faults_are_told_in_a_sentence(server, path, content, status, says):
     found, body, _ = answer(server, path, content)
@@ -240,8 +268,10 @@ def test_faults_are_told_in_a_sentence(server, path, content, status, says):
     assert says in json.loads(body)["error"]
 
 
-def test_other_methods_are_not_answered(server):
-    assert answer(server, "", method="PUT")[0] == 501
+@pytest.mark.parametrize("method", ["PUT", "HEAD", "OPTIONS", "DELETE", "BREW"])
+def test_other_methods_are_not_answered(server, method):
+    status, _, headers = answer(server, "", method=method)
+    assert (status, headers["Allow"]) == (405, "GET, POST")
 
 
 def test_progress_before_any_run(server):

@@ -1,9 +1,15 @@
 // Controls of one or several bodies: time, position, colour, cut, overlay and view; all bodies share them and one colour scale.
 import { BEFORE, BodyView, rank } from "./body.js";
+import { hasWebGL2, standStill } from "./webgl.js";
 
 export async function startBodies() {
-  const views = [...document.querySelectorAll("[data-body]")].map((figure) => new BodyView(figure, figure.dataset.body));
-  if (!views.length) return;
+  const figures = [...document.querySelectorAll("[data-body]")];
+  if (!figures.length) return;
+  if (!hasWebGL2()) {
+    for (const figure of figures) standStill(figure, document.querySelectorAll("[data-body-controls]"));
+    return;
+  }
+  const views = figures.map((figure) => new BodyView(figure, figure.dataset.body));
   const controls = new Controls(views);
   await controls.show();
   if (views.length > 1) link(views);

@@ -1,6 +1,7 @@
 // Planning page: place a ball on the slices, measure what it removes, and start and watch the run.
 import { short, stored } from "./data.js";
 import { Slices, startOpacity, writeKey } from "./slices.js";
+import { hasWebGL2, standStill } from "./webgl.js";
 
 const WATCH_MS = 1000;
 const SETTLE_MS = 150; // wait after the last change before a request to the server
@@ -22,10 +23,10 @@ function settled(act) {
 class Plan {
   constructor(slices, content) {
     Object.assign(this, { slices, content });
-    this.volume = slices.nv.volumes[slices.layers.indexOf("zones")];
+    this.volume = slices?.nv.volumes[slices.layers.indexOf("zones")];
     this.#write(content.centre);
     this.measure = settled(() => this.#measured());
-    slices.onPoint = (point) => { if (element("follow").checked && !this.isMoving) this.#place(point); };
+    if (slices) slices.onPoint = (point) => { if (element("follow").checked && !this.isMoving) this.#place(point); };
     for (const id of ["x", "y", "z"]) element(id).addEventListener("change", () => this.#typed());
     for (const id of ["radius", "margin"]) element(id).addEventListener("input", () => this.#changed());
     element("save").addEventListener("click", () => this.#told(async () => {
@@ -82,7 +83,7 @@ class Plan {
 
   #typed() {
     this.isMoving = true; // moving the crosshair raises the same event as a click, which is ignored here
-    this.slices.goTo(this.centre);
+    this.slices?.goTo(this.centre);
     this.isMoving = false;
     this.#changed();
   }
@@ -95,6 +96,7 @@ class Plan {
 
   // write the ball and its margin into the voxels of the zones layer
   #paint() {
+    if (!this.slices) return;
     const { shape, spacing, origin } = this.content.grid;
     const { centre, wish } = this;
     const image = this.volume.img;
@@ -118,7 +120,8 @@ class Plan {
       element("removed").textContent = `${found.removed_ml.toFixed(1)} ml`;
       element("percent").textContent = `${found.percent.toFixed(1)} % of ${found.breast_ml.toFixed(0)} ml`;
       element("tumour-margin").textContent = found.margin_mm === null ? "no tumour is labelled" : `${short(found.margin_mm)} mm`;
-      element("depth").textContent = `${found.depth_mm.toFixed(1)} mm`;
+      const outside = found.depth_mm < 0;
+      element("depth").textContent = outside ? `outside, ${short(-found.depth_mm)} mm from the breast` : `${found.depth_mm.toFixed(1)} mm`;
       element("against").replaceChildren(...found.warnings.map((words) => Object.assign(document.createElement("li"), { textContent: words })));
     } catch (fault) {
       element("against").replaceChildren(Object.assign(document.createElement("li"), { textContent: fault.message }));
@@ -150,7 +153,13 @@ class Plan {
 
 export async function startPlan() {
   const content = stored("A", "slices");
-  const slices = await new Slices(document.querySelector("[data-slices]"), content).start();
+  const figure = document.querySelector("[data-slices]");
+  if (!hasWebGL2()) {
+    standStill(figure, document.querySelectorAll("[data-slices-controls]"), { otherwise: "The resection can be placed by its numbers." });
+    globalThis.cicatrixPlan = new Plan(null, content);
+    return;
+  }
+  const slices = await new Slices(figure, content).start();
   writeKey(element("label-key"), content);
   startOpacity(slices);
   globalThis.cicatrixPlan = new Plan(slices, content);

@@ -1,6 +1,7 @@
 // Three slices of the image through one point, overlaid with labels and the resection.
 import { bytesOf, save, stored } from "./data.js";
 import { colourOf, onTheme } from "./theme.js";
+import { hasWebGL2, standStill } from "./webgl.js";
 
 const LABEL_COLOURS = [[0, 0, 0], [240, 228, 66], [0, 158, 115], [204, 121, 167], [213, 94, 0], [86, 180, 233]]; // Okabe & Ito 2008
 const ZONES = ["", "excised", "margin (should be free of tumour)"];
@@ -9,7 +10,8 @@ const STEPS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0]
 
 export class Slices {
   constructor(figure, content) {
-    Object.assign(this, { figure, content, canvas: figure.querySelector("canvas") });
+    Object.assign(this, { figure, content, canvas: figure.querySelector("canvas"), layers: Object.keys(content.volumes) });
+    figure.querySelector('[data-save="nifti"]')?.addEventListener("click", () => this.#saveVolumes());
   }
 
   async start() {
@@ -19,7 +21,6 @@ export class Slices {
     this.nv.onLocationChange = (where) => this.#moved(where);
     await this.nv.attachToCanvas(this.canvas);
     this.nv.setSliceType(SLICE_TYPE.MULTIPLANAR);
-    this.layers = Object.keys(this.content.volumes);
     for (const name of this.layers) {
       const image = await NVImage.loadFromBase64({ base64: this.content.volumes[name], name: `${name}.nii.gz`, ...this.#look(name) });
       if (name === "labels") image.setColormapLabel(lookup(LABEL_COLOURS, this.content.labels));
@@ -30,7 +31,6 @@ export class Slices {
     onTheme(() => { this.nv.opts.backColor = [...colourOf("--stage"), 1]; this.nv.drawScene(); });
     this.canvas.addEventListener("keydown", (event) => this.#key(event));
     this.figure.querySelector('[data-save="png"]')?.addEventListener("click", () => this.nv.saveScene("slices.png"));
-    this.figure.querySelector('[data-save="nifti"]')?.addEventListener("click", () => this.#saveVolumes());
     this.figure.dataset.drawn = this.layers.join(", ");
     return this;
   }
@@ -95,7 +95,12 @@ export async function startSlices() {
   const figure = document.querySelector("[data-slices]");
   if (!figure) return;
   const content = stored(figure.dataset.slices, "slices");
-  const slices = await new Slices(figure, content).start();
+  const slices = new Slices(figure, content);
+  if (!hasWebGL2()) {
+    standStill(figure, document.querySelectorAll("[data-slices-controls]"), { alive: '[data-save="nifti"]' });
+    return;
+  }
+  await slices.start();
   writeKey(document.getElementById("label-key"), content);
   startOpacity(slices);
 }

@@ -70,10 +70,12 @@ def _run(verbs: argparse._SubParsersAction) -> None:
 
 
 def _check(verbs: argparse._SubParsersAction) -> None:
-    parser = verbs.add_parser(
-        "check", help="check a case file without running it; one line per fault", allow_abbrev=False
-    )
+    words = "check a case file, and the files that it names, without running it; one line per fault"
+    parser = verbs.add_parser("check", help=words, allow_abbrev=False)
     _add_case(parser)
+    parser.add_argument(
+        "data", metavar="DATA.csv", type=Path, nargs="?", help="measured data, to check them as cicatrix fit reads them"
+    )
     _add_overrides(parser)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar
@@ -14,7 +14,7 @@ from ..files.numerals import Numerals
 from ..inference.fit import Fit, fit
 from ..inference.fit_folder import claim_folder, write_fit
 from ..kinds.material_point.case import PointCase
-from ..kinds.material_point.measured import experiment, loading_of
+from ..kinds.material_point.measured import Experiment, experiment, loading_of
 from ..kinds.registry import load_case
 from .printing import printable
 
@@ -24,11 +24,7 @@ Made = TypeVar("Made")
 def run(args: argparse.Namespace) -> int:
     """Fit, write the folder, print a line per parameter."""
     bounds = _all_bounds(args.free)
-    data = read_measurements(args.data)
-    case = load_case(args.case, args.set, {"loading": _about(args.data, loading_of, data)})
-    if not isinstance(case, PointCase):
-        raise InputError(f'{args.case}: kind must be "material-point" for a fit; got "{case.kind}"')
-    measured = _about(args.data, experiment, case.loading, data)
+    case, measured = measured_for(args.case, args.set, args.data)
     folder = claim_folder(args.out or Path("fits") / args.data.stem)
     try:
         found = fit(case, measured, bounds)
@@ -45,6 +41,21 @@ def run(args: argparse.Namespace) -> int:
     )
     _print(found, folder)
     return 0
+
+
+def measured_for(case: Path, overrides: Sequence[str], data: Path) -> tuple[PointCase, Experiment]:
+    """Read the case and the data that its law is fitted to; return the case, and what the data prescribe and measure.
+
+    Raises
+    ------
+    InputError
+        If the case is invalid or no material point, or the data cannot be read or are not its measurements.
+    """
+    table = read_measurements(data)
+    found = load_case(case, overrides, {"loading": _about(data, loading_of, table)})
+    if not isinstance(found, PointCase):
+        raise InputError(f'{case}: kind must be "material-point" for a fit; got "{found.kind}"')
+    return found, _about(data, experiment, found.loading, table)
 
 
 def _about(path: Path, make: Callable[..., Made], *what: Any) -> Made:

@@ -18,8 +18,9 @@ from ..image.phantom import phantom
 from ..image.segment import from_labels, segment
 from ..kinds.lumpectomy.anatomy import matched
 from ..kinds.lumpectomy.case import ImageTable, LumpectomyRunTable
+from ..pages.planner import Planner
 from ..pages.planning import PlanningTable
-from ..pages.server import Planner, PlanServer
+from ..pages.server import PlanServer
 from ..pages.slices import thin_labels
 
 MAX_VOXELS = 40_000_000  # larger images are subsampled while they are read; planning needs millimetre resolution only

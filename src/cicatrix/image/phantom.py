@@ -82,16 +82,25 @@ def phantom(
     spacing = np.broadcast_to(np.asarray(spacing_mm, float), 3)
     _check(spacing, size_mm, weighting, side)
     streams = [np.random.Generator(np.random.Philox(s)) for s in np.random.SeedSequence(seed).spawn(3)]
-    medial = -1.0 if side == "left" else 1.0
-    shift = np.array([-medial * MIDLINE_MM, 0.0, 0.0])  # the patient's midline is at x = 0
+    medial, shift = _medial(side), _shift(side)
     half_axes = np.array([size_mm[0] / 2, size_mm[1], size_mm[2] / 2])
     anatomy = draw(streams[0], half_axes, medial, gland_fraction, None, tumour_diameter_mm / 2)
     if tumour_centre_mm is not None:
         anatomy = _with_tumour_at(anatomy, np.asarray(tumour_centre_mm, float) - shift)
-    grid = _grid(half_axes, spacing, shift)
+    grid = phantom_grid(spacing_mm=spacing_mm, side=side, size_mm=size_mm)
     clean, labels = _average(anatomy, grid, shift, BRIGHTNESS[weighting])
     image = _scan(clean, grid, bias, noise * NOISE[weighting], streams[1], streams[2])
     return grid.with_values(image), grid.with_values(labels)
+
+
+def _medial(side: str) -> float:
+    """Return the sign of x towards the patient's midline."""
+    return -1.0 if side == "left" else 1.0
+
+
+def _shift(side: str) -> np.ndarray:
+    """Return the breast's centre (3,) LPS [mm]; the patient's midline is at x = 0."""
+    return np.array([-_medial(side) * MIDLINE_MM, 0.0, 0.0])
 
 
 def _check(spacing: np.ndarray, size_mm: tuple[float, float, float], weighting: str, side: str) -> None:
@@ -112,8 +121,15 @@ def _with_tumour_at(anatomy: PhantomAnatomy, point: np.ndarray) -> PhantomAnatom
     return PhantomAnatomy(**{**vars(anatomy), "tumour_centre_mm": np.array([point[0], height, point[2]])})
 
 
-def _grid(half_axes: np.ndarray, spacing: np.ndarray, shift: np.ndarray) -> Volume:
-    """Return an empty image volume that covers the field of view around the breast."""
+def phantom_grid(
+    *,
+    spacing_mm: float | tuple[float, float, float] = 1.0,
+    side: str = "left",
+    size_mm: tuple[float, float, float] = SIZE_MM,
+) -> Volume:
+    """Return an empty image volume (nz, ny, nx) float32 of :func:`phantom`'s field of view, with its voxels."""
+    spacing, shift = np.broadcast_to(np.asarray(spacing_mm, float), 3), _shift(side)
+    half_axes = np.array([size_mm[0] / 2, size_mm[1], size_mm[2] / 2])
     low = np.array([-half_axes[0] - FLANK_MM, -half_axes[1] - AIR_MM, -half_axes[2] - ABOVE_MM]) + shift
     behind = MUSCLE_MM + RIB_MM + 24.0
     high = np.array([half_axes[0] + FLANK_MM, behind, half_axes[2] + ABOVE_MM]) + shift

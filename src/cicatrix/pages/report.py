@@ -31,6 +31,8 @@ LETTERS = "ABCDEFGH"  # one letter per run in a comparison
 MARK = "cicatrix-report.txt"  # file that marks a folder as a report, which a new report may replace
 FILES = ("history.csv", "outcome.json", MANIFEST)
 MAPS = ("viridis", "cividis", "plasma")  # colour maps that colour-blind readers can read too
+# figures of a run that stand in for what a browser without WebGL2 cannot draw, the best first
+STILLS = {"body": ("surface", "outline", "shape", "fields", "section"), "slices": ("section",)}
 STOPS = 33  # number of colours per map on a page
 OnStep = Callable[[str], None]
 
@@ -141,6 +143,14 @@ def _write_data(page: Path, view: RunView, on_step: OnStep) -> ReportContents:
     return ReportContents(view, shapes, lines_of(view, shapes), tuple(missing), sections)
 
 
+def stills_of(figures: Path) -> dict[str, str]:
+    """Return the name of the picture that stands in for each part of the page; empty where the folder has none for it."""
+    found = {
+        part: [f"{name}.png" for name in names if (figures / f"{name}.png").is_file()] for part, names in STILLS.items()
+    }
+    return {part: next(iter(names), "") for part, names in found.items()}
+
+
 def map_stops() -> dict[str, list[list[float]]]:
     """Return the colours of each map from low to high, as red, green and blue between 0 and 1."""
     return {
@@ -163,6 +173,7 @@ def _common(view: RunView, contents: ReportContents) -> dict[str, Any]:
         "missing": contents.missing,
         "lines": contents.lines,
         "sections": contents.sections,
+        "stills": stills_of(view.folder / "figures"),
         "is_solid": bool(contents.shapes) and contents.shapes[0].is_solid,
         "positions": list(dict.fromkeys(shape.position for shape in contents.shapes)),
     }

@@ -11,6 +11,7 @@ from typing import Any
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from ..files.atomic import write_bytes
+from .policy import policy
 
 ASSETS = ("libraries.js", "viewer.js", "style.css", "LICENCES.txt")
 TEMPLATES = Environment(
@@ -20,6 +21,7 @@ TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
+TEMPLATES.globals["policy"] = policy
 
 
 def rendered(template: str, values: Mapping[str, Any]) -> str:

@@ -62,23 +62,10 @@ def cue_of(case: AutomatonCase) -> Cue:
     return Cue(case.cue.W, case.cue.W_ref)
 
 
-def inradius_um(lattice: Lattice) -> float:
-    """Return the largest radius of a disc or ball at the centre that fits into the block of sites [um]."""
-    heights = 1.0 / np.linalg.norm(np.linalg.inv(lattice.basis_mm), axis=0)
-    return float(1e3 * np.min((np.array(lattice.shape) - 1) * heights) / 2)
-
-
 def _open_sites(case: AutomatonCase, lattice: Lattice) -> np.ndarray:
     if case.wound.mask is not None:
         return _read_mask(case.wound.mask, "wound.mask", lattice)
-    radius, largest = case.wound.radius_um or 0.0, inradius_um(lattice)
-    if largest <= 0.0:
-        raise InputError(f"lattice.size must hold a wound and cells around it; {list(lattice.shape)} is a single row")
-    if radius > largest:
-        raise InputError(
-            f"wound.radius_um must be at most {largest:.0f}, or the wound is larger than the lattice; got {radius:g}"
-        )
-    return lattice.near_middle(mm_from_um(radius))
+    return lattice.near_middle(mm_from_um(case.wound.radius_um or 0.0))
 
 
 def _read_mask(path: Path, key: str, lattice: Lattice) -> np.ndarray:

@@ -14,6 +14,10 @@ from ...cases.table import Case, Table
 
 DIMENSIONS = {"hex": 2, "fcc": 3}
 NEIGHBOURS = {"hex": 6, "fcc": 12}
+HEIGHTS = {
+    "hex": math.sqrt(3.0) / 2.0,
+    "fcc": math.sqrt(2.0 / 3.0),
+}  # distance of the rows or layers of sites over the pitch
 Whole = Annotated[Integer, bounds(least=0)]
 Size = Annotated[Integer, bounds(least=1)]
 
@@ -25,6 +29,11 @@ class LatticeTable(Table):
     size: tuple[Size, ...] = (512, 512)  # number of sites along each axis
     pitch_um: Annotated[Number, bounds(least=1e-3, most=1e6)] = 10.0  # distance between neighbouring sites
     fillable: Path | None = None  # .npy mask: sites that can ever contain a cell; all by default
+
+    @property
+    def inradius_um(self) -> float:
+        """Largest radius of a disc or ball at the centre that fits into the block of sites [um]."""
+        return 0.5 * (min(self.size) - 1) * HEIGHTS[self.type] * self.pitch_um
 
     @model_validator(mode="after")
     def _has_its_axes(self) -> LatticeTable:
@@ -104,6 +113,18 @@ class AutomatonCase(Case):
     def seed(self) -> int:
         """Seed of the random numbers."""
         return self.run.seed
+
+    @model_validator(mode="after")
+    def _wound_fits_lattice(self) -> AutomatonCase:
+        radius, largest = self.wound.radius_um, self.lattice.inradius_um
+        if radius is not None and largest <= 0.0:
+            raise fault(
+                "lattice.size", f"must hold a wound and cells around it; {list(self.lattice.size)} is a single row"
+            )
+        if radius is not None and radius > largest:
+            words = f"must be at most {largest:.0f}, or the wound is larger than the lattice; got {radius:g}"
+            raise fault("wound.radius_um", words)
+        return self
 
     @model_validator(mode="after")
     def _shape_fits_lattice(self) -> AutomatonCase:

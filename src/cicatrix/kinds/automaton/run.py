@@ -51,7 +51,7 @@ class AutomatonRun(Simulation[ClosureState]):
     def __init__(self, case: AutomatonCase, context: Context | None = None) -> None:
         super().__init__(case, context)
         self.ranks = self.context.ranks
-        self.automaton, self.cue = self.ranks.agree(lambda: _model(case))
+        self.automaton, self.cue = self.ranks.agree(lambda: model_of(case))
         self.n_fillable = int(np.count_nonzero(self.automaton.fillable))
         self.n_open0 = int(np.count_nonzero(self.automaton.open0))
         self.notes.append(_how(self.ranks))
@@ -177,7 +177,8 @@ def _is_at(core: NativeCore | ReferenceCore, step: int) -> bool:
     return core.step == step
 
 
-def _model(case: AutomatonCase) -> tuple[Automaton, tuple[np.ndarray, float]]:
+def model_of(case: AutomatonCase) -> tuple[Automaton, tuple[np.ndarray, float]]:
+    """Build the automaton of a case, and its checked cue; InputError as :func:`.build.automaton_of` and ``cue_of``."""
     with _in_memory(case):
         automaton = automaton_of(case)
         return automaton, automaton.checked(cue_of(case))

@@ -7,8 +7,6 @@ from ...files.mesh_tissue import Tissue
 from ...files.meshes import ByGroup, MeshedBody, read_body
 from .case import BodyTable, EquilibriumCase
 
-ANY_TISSUE = 1.0, 0.3  # E [kPa] and nu that stand in for those of a law while only the mesh is checked
-
 
 def given_body(case: EquilibriumCase, elastic: tuple[float, float] | None) -> MeshedBody:
     """Read the mesh of a case.
@@ -35,15 +33,6 @@ def given_body(case: EquilibriumCase, elastic: tuple[float, float] | None) -> Me
     if case.solver.inverse and given.displacement.any():
         raise InputError(f"{name}: prescribed displacements must be 0 where solver.inverse = true")
     return given
-
-
-def faults_of(case: EquilibriumCase) -> list[str]:
-    """Return the first fault of the mesh of a case as a list of one sentence; an empty list if it has none."""
-    try:
-        given_body(case, ANY_TISSUE if case.law else None)
-    except InputError as error:
-        return [str(error)]
-    return []
 
 
 def _by_group(body: BodyTable) -> ByGroup:

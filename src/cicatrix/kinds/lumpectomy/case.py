@@ -55,6 +55,8 @@ MODEL_KEYS: dict[str, tuple[str, ...]] = {
     ),
     "fields": ("mechanosensing", "parameters", "time_tolerance"),
 }
+MODEL_WORDS = {"automaton": "cellular automaton", "fields": "continuum: cells, cytokine and collagen"}  # for a menu
+ModelName: Any = Literal[tuple(MODEL_KEYS)]
 SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # defaults of a mesh in three dimensions
 
 
@@ -189,7 +191,8 @@ class HealingTable(Table):
     time steps. Probabilities hold for a lattice of 10 um, one cell per site, and are converted to other pitches.
     """
 
-    model: Literal["automaton", "fields"] = "automaton"  # cellular automaton, or continuum model
+    # cellular automaton, or continuum model
+    model: ModelName = "automaton"  # pyright: ignore[reportInvalidTypeForm]
     deposition: Literal["unloaded", "loaded"] = "unloaded"  # configuration in which new tissue is free of stress
     deposition_prestretch: Positive = 1.0  # in-plane stretch of new tissue as it is deposited; for "loaded"
     contraction_kPa: NotNegative = 0.0  # active tension of new tissue, equal in all directions

@@ -116,10 +116,7 @@ def section_model(case: LumpectomyCase, anatomy: Anatomy) -> SectionModel:
         If the section has no breast or no chest wall, or the resection does not lie inside the breast.
     """
     centre = resection_of(case, anatomy)
-    normal = Section(case.image.plane, 0.0).axes[2]
-    position = centre[normal] if case.image.slice_mm is None else case.image.slice_mm
-    section = Section(case.image.plane, float(position))
-    radius = _radius_in_plane(case.resection.radius_mm, position - centre[normal])
+    section, radius = plane_of(case, centre)
     raster = section.raster(anatomy.labels, min(*anatomy.labels.spacing_mm, 1.0))
     centre2 = section.from_patient(centre)[:2]
     inside = _breast(anatomy, section, raster, centre2)
@@ -146,6 +143,20 @@ def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) 
     section = Section(case.image.plane, float(arrays["section_mm"]))
     tissue = Tissue(arrays["mu"], arrays["kappa"], arrays["density"])
     return _filled(case, section, mesh, tissue, arrays["centre_mm"], float(arrays["radius_mm"]))
+
+
+def plane_of(case: LumpectomyCase, centre: np.ndarray) -> tuple[Section, float]:
+    """Return the section of a resection whose centre (3,) LPS [mm] is given, and the radius of its disc there [mm].
+
+    Raises
+    ------
+    InputError
+        If the section does not cut the resection.
+    """
+    normal = Section(case.image.plane, 0.0).axes[2]
+    position = centre[normal] if case.image.slice_mm is None else case.image.slice_mm
+    section = Section(case.image.plane, float(position))
+    return section, _radius_in_plane(case.resection.radius_mm, position - centre[normal])
 
 
 def _radius_in_plane(radius: float, offset: float) -> float:

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 from ...biology.network_model import NetworkModel
-from ...biology.roadrunner import DelegatedNetwork
 from ...core.errors import InputError
 from ...core.units import seconds_from_hours
 from ...files.networks import read_network
 from ...files.sbml import Changes, read_sbml
-from .build import begun, refuse_undefined, refuse_unknown
 from .case import SignallingCase
 
 COLUMNS = ("step", "time_h")  # columns of history.csv before those of the species
@@ -45,15 +43,3 @@ def _changes(case: SignallingCase) -> Changes:
         name: tuple(zip(map(seconds_from_hours, schedule.time_h), schedule.value))
         for name, schedule in case.set.items()
     }
-
-
-def faults_of(case: SignallingCase) -> list[str]:
-    """Check the network of a valid case and its use of names; return a list with the first fault, or an empty list."""
-    try:
-        model = read_model(case)
-        refuse_unknown(case, model)
-        if not isinstance(model.law, DelegatedNetwork):
-            refuse_undefined(case, begun(case, model))
-    except InputError as error:
-        return [str(error)]
-    return []

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...core.errors import InputError
 from ...files.meshes import ByGroup, TetrahedralMesh, read_wound
-from .case import WoundBodyTable, WoundCase
+from .case import WoundBodyTable
 
 
 def given_wound(body: WoundBodyTable) -> tuple[TetrahedralMesh, np.ndarray]:
@@ -18,13 +17,3 @@ def given_wound(body: WoundBodyTable) -> tuple[TetrahedralMesh, np.ndarray]:
         If the mesh cannot be read, or is not valid for a body with a wound.
     """
     return read_wound(body.mesh, body.mesh_unit, ByGroup(fixed=body.fixed, wound=body.wound))
-
-
-def faults_of(case: WoundCase) -> list[str]:
-    """Return the first fault of the mesh of a case as a list of one sentence; an empty list if it has none."""
-    try:
-        if case.body is not None:
-            given_wound(case.body)
-    except InputError as error:
-        return [str(error)]
-    return []

@@ -393,10 +393,38 @@
     }
   }
 
+  // src/webgl.js
+  var WORDS = "This browser offers no WebGL2, so nothing can be turned or moved here (it may be switched off, or the graphics driver may be blocked).";
+  var hasWebGL2 = () => {
+    const context = document.createElement("canvas").getContext("webgl2");
+    context?.getExtension("WEBGL_lose_context")?.loseContext();
+    return Boolean(context);
+  };
+  function standStill(figure, controls, { alive = "", otherwise = "The numbers on this page, and figures.pdf, do not need it." } = {}) {
+    figure.dataset.still = "yes";
+    const still = figure.querySelector(".still");
+    if (still) still.hidden = false;
+    for (const dead of figure.querySelectorAll(".canvas, .slices, .scale, figcaption, .said, .downloads")) dead.hidden = true;
+    if (alive) {
+      figure.querySelector(".downloads").hidden = false;
+      for (const button of figure.querySelectorAll(".downloads button")) button.hidden = !button.matches(alive);
+    }
+    for (const element2 of controls) element2.hidden = true;
+    const instead = still ? "The picture is the run's own figure." : otherwise;
+    const words = Object.assign(document.createElement("p"), { className: "gap", textContent: `${WORDS} ${instead}` });
+    words.setAttribute("role", "status");
+    figure.prepend(words);
+  }
+
   // src/controls.js
   async function startBodies() {
-    const views = [...document.querySelectorAll("[data-body]")].map((figure) => new BodyView(figure, figure.dataset.body));
-    if (!views.length) return;
+    const figures = [...document.querySelectorAll("[data-body]")];
+    if (!figures.length) return;
+    if (!hasWebGL2()) {
+      for (const figure of figures) standStill(figure, document.querySelectorAll("[data-body-controls]"));
+      return;
+    }
+    const views = figures.map((figure) => new BodyView(figure, figure.dataset.body));
     const controls = new Controls(views);
     await controls.show();
     if (views.length > 1) link(views);
@@ -483,7 +511,8 @@
   var STEPS = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
   var Slices = class {
     constructor(figure, content) {
-      Object.assign(this, { figure, content, canvas: figure.querySelector("canvas") });
+      Object.assign(this, { figure, content, canvas: figure.querySelector("canvas"), layers: Object.keys(content.volumes) });
+      figure.querySelector('[data-save="nifti"]')?.addEventListener("click", () => this.#saveVolumes());
     }
     async start() {
       const { Niivue, NVImage, SHOW_RENDER, SLICE_TYPE } = globalThis.cicatrixLibraries;
@@ -500,7 +529,6 @@
       this.nv.onLocationChange = (where) => this.#moved(where);
       await this.nv.attachToCanvas(this.canvas);
       this.nv.setSliceType(SLICE_TYPE.MULTIPLANAR);
-      this.layers = Object.keys(this.content.volumes);
       for (const name of this.layers) {
         const image = await NVImage.loadFromBase64({ base64: this.content.volumes[name], name: `${name}.nii.gz`, ...this.#look(name) });
         if (name === "labels") image.setColormapLabel(lookup(LABEL_COLOURS, this.content.labels));
@@ -514,7 +542,6 @@
       });
       this.canvas.addEventListener("keydown", (event) => this.#key(event));
       this.figure.querySelector('[data-save="png"]')?.addEventListener("click", () => this.nv.saveScene("slices.png"));
-      this.figure.querySelector('[data-save="nifti"]')?.addEventListener("click", () => this.#saveVolumes());
       this.figure.dataset.drawn = this.layers.join(", ");
       return this;
     }
@@ -569,7 +596,12 @@
     const figure = document.querySelector("[data-slices]");
     if (!figure) return;
     const content = stored(figure.dataset.slices, "slices");
-    const slices = await new Slices(figure, content).start();
+    const slices = new Slices(figure, content);
+    if (!hasWebGL2()) {
+      standStill(figure, document.querySelectorAll("[data-slices-controls]"), { alive: '[data-save="nifti"]' });
+      return;
+    }
+    await slices.start();
     writeKey(document.getElementById("label-key"), content);
     startOpacity(slices);
   }
@@ -605,10 +637,10 @@
   var Plan = class {
     constructor(slices, content) {
       Object.assign(this, { slices, content });
-      this.volume = slices.nv.volumes[slices.layers.indexOf("zones")];
+      this.volume = slices?.nv.volumes[slices.layers.indexOf("zones")];
       this.#write(content.centre);
       this.measure = settled(() => this.#measured());
-      slices.onPoint = (point) => {
+      if (slices) slices.onPoint = (point) => {
         if (element("follow").checked && !this.isMoving) this.#place(point);
       };
       for (const id of ["x", "y", "z"]) element(id).addEventListener("change", () => this.#typed());
@@ -671,7 +703,7 @@
     }
     #typed() {
       this.isMoving = true;
-      this.slices.goTo(this.centre);
+      this.slices?.goTo(this.centre);
       this.isMoving = false;
       this.#changed();
     }
@@ -682,6 +714,7 @@
     }
     // write the ball and its margin into the voxels of the zones layer
     #paint() {
+      if (!this.slices) return;
       const { shape, spacing, origin } = this.content.grid;
       const { centre, wish } = this;
       const image = this.volume.img;
@@ -704,7 +737,8 @@
         element("removed").textContent = `${found.removed_ml.toFixed(1)} ml`;
         element("percent").textContent = `${found.percent.toFixed(1)} % of ${found.breast_ml.toFixed(0)} ml`;
         element("tumour-margin").textContent = found.margin_mm === null ? "no tumour is labelled" : `${short(found.margin_mm)} mm`;
-        element("depth").textContent = `${found.depth_mm.toFixed(1)} mm`;
+        const outside = found.depth_mm < 0;
+        element("depth").textContent = outside ? `outside, ${short(-found.depth_mm)} mm from the breast` : `${found.depth_mm.toFixed(1)} mm`;
         element("against").replaceChildren(...found.warnings.map((words) => Object.assign(document.createElement("li"), { textContent: words })));
       } catch (fault) {
         element("against").replaceChildren(Object.assign(document.createElement("li"), { textContent: fault.message }));
@@ -733,7 +767,13 @@
   };
   async function startPlan() {
     const content = stored("A", "slices");
-    const slices = await new Slices(document.querySelector("[data-slices]"), content).start();
+    const figure = document.querySelector("[data-slices]");
+    if (!hasWebGL2()) {
+      standStill(figure, document.querySelectorAll("[data-slices-controls]"), { otherwise: "The resection can be placed by its numbers." });
+      globalThis.cicatrixPlan = new Plan(null, content);
+      return;
+    }
+    const slices = await new Slices(figure, content).start();
     writeKey(element("label-key"), content);
     startOpacity(slices);
     globalThis.cicatrixPlan = new Plan(slices, content);
