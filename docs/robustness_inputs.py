@@ -162,6 +162,13 @@ def table(path: Path, names: tuple[str, ...] = ()) -> dict[str, np.ndarray]:
     return {name: _column(cells) for name, cells in columns.items() if not names or name in names}
 
 
+def measured_says(folder: Path) -> Values:
+    """Read the rows of a table of measured data in which no number is missing; those are left out with a note."""
+    columns = table(only(folder, "data"))
+    is_whole = np.all([np.isfinite(column) for column in columns.values()], axis=0)
+    return {name: column[is_whole] for name, column in columns.items()}
+
+
 def _column(cells: list[str]) -> np.ndarray:
     if all(NUMBER.fullmatch(cell) for cell in cells if cell):
         return np.array([float(cell) if cell else np.nan for cell in cells])
@@ -433,9 +440,7 @@ SOUND = Path("/nonexistent")  # folder of the sound inputs; set by robustness.py
 NEVER = ("mesh, Abaqus", "mesh, STL")  # a sound file of these has no tissue, or no tetrahedra: it is refused
 KINDS: dict[str, Kind] = {
     "case file (TOML)": text_kind("case.toml", AUTOMATON, case_values, case_says),
-    "measured data (CSV)": text_kind(
-        "data.csv", MEASURED, measured_values, lambda f: table(only(f, "data")), case_toml=POINT
-    ),
+    "measured data (CSV)": text_kind("data.csv", MEASURED, measured_values, measured_says, case_toml=POINT),
     "network: species (CSV)": text_kind("species.csv", SPECIES, network_values, network_says, reactions_csv=REACTIONS),
     "network: reactions (CSV)": text_kind(
         "reactions.csv", REACTIONS, network_values, network_says, species_csv=SPECIES

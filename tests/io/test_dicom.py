@@ -345,7 +345,7 @@ def test_other_files_in_the_folder_are_left_out_and_said(tmp_path):
     os.mkfifo(folder / "pipe.dcm")
     volume, notes = read(folder)
     is_body(volume)
-    assert notes == ["Left out: 1 of the files in the folder, not DICOM."]
+    assert notes == ["Left out: 1 of the files in the folder, no DICOM images."]
 
 
 def test_files_without_preamble_are_read(tmp_path):

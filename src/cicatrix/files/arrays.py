@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from pathlib import Path
+from tokenize import TokenError
 
 import numpy as np
 
@@ -58,6 +59,6 @@ def _header(content: bytes, path: Path, key: str) -> tuple[tuple[int, ...], bool
     try:
         version = np.lib.format.read_magic(stream)[0]
         shape, in_columns, kind = HEADERS[version](stream)
-    except (ValueError, KeyError, TypeError, SyntaxError, EOFError, RecursionError, MemoryError):
+    except (ValueError, KeyError, TypeError, SyntaxError, EOFError, RecursionError, MemoryError, TokenError):
         raise InputError(f"{key}: {path.name} has a damaged header; save the array again with numpy.save") from None
     return shape, in_columns, kind, stream.tell()

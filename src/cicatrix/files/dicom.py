@@ -82,13 +82,20 @@ def _headers(folder: Path, note: Note) -> list[tuple[Path, pydicom.Dataset]]:
             header = dataset_of(path, pixels=False)
             if "Rows" in header:
                 found.append((path, header))
+            else:
+                (others if _is_no_image(header) else damaged).append((path, head))
         except InputError:
-            damaged.append(path)
+            damaged.append((path, head))
     endings = {_ending(path) for path, _ in found}
-    damaged += [path for path, head in others if found and _ending(path) in endings and not _is_text(head)]
+    damaged += [
+        (path, head)
+        for path, head in others
+        if found and not is_dicom(head) and _ending(path) in endings and not _is_text(head)
+    ]
     if damaged:
         n = len(found) + len(damaged)
-        number = sorted([*(path for path, _ in found), *damaged]).index(min(damaged)) + 1
+        names = sorted(path for path, _ in damaged)
+        number = sorted([*(path for path, _ in found), *names]).index(names[0]) + 1
         raise InputError(
             f"{len(damaged)} of {n} files cannot be read as DICOM (the first is number {number} in the order of their names); "
             "export the series again"
@@ -96,8 +103,15 @@ def _headers(folder: Path, note: Note) -> list[tuple[Path, pydicom.Dataset]]:
     if not found:
         raise InputError("the folder has no DICOM image; give the one whose files are the slices")
     if others:
-        note(f"Left out: {len(others)} of the files in the folder, not DICOM.")
+        note(f"Left out: {len(others)} of the files in the folder, no DICOM images.")
     return found
+
+
+def _is_no_image(header: pydicom.Dataset) -> bool:
+    """Return whether the class of a DICOM file, which its first bytes name, is known and no image: a directory, a report."""
+    uid = getattr(getattr(header, "file_meta", None), "MediaStorageSOPClassUID", "")
+    name = pydicom.uid.UID(str(uid)).name
+    return name != str(uid) and "Image Storage" not in name
 
 
 def _ending(path: Path) -> str:

@@ -82,6 +82,10 @@ def pixel_form(header: pydicom.Dataset) -> str:
     return f"{allocated} {stored} {sign}"
 
 
+PIXELS = 0x7FE00010  # tag of PixelData
+AFTER_PIXELS = (0x7FE1, 0xFFFA, 0xFFFC)  # groups that may follow: a maker's own, signatures, padding (PS3.10, 7.2)
+
+
 class PixelFile:
     """Frames of a file; those of a file with several are kept, those of a file with one are read when asked for."""
 
@@ -105,6 +109,9 @@ class PixelFile:
     def _read(self) -> np.ndarray:
         dataset = dataset_of(self._path, pixels=True)
         data = dataset.PixelData
+        tags = list(dataset.keys())  # in the order of the file
+        if any(tag.group not in AFTER_PIXELS for tag in tags[tags.index(PIXELS) + 1 :]):
+            raise InputError("bytes that are no DICOM element follow the pixels: the file is damaged; export it again")
         syntax = dataset.file_meta.get("TransferSyntaxUID")  # none: implicit and little endian
         if syntax and syntax.is_compressed and syntax != DEFLATED:
             return _decompressed(dataset, self._n_frames)
