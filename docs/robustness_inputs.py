@@ -28,7 +28,8 @@ from cicatrix.cases.reading import case_table
 from cicatrix.cli.fit import measured_for
 from cicatrix.core.errors import InputError
 from cicatrix.files.images import read_image
-from cicatrix.files.meshes import read_body
+from cicatrix.files.mesh_tissue import Tissue
+from cicatrix.files.meshes import ByGroup, read_body
 from cicatrix.files.networks import read_network
 from cicatrix.files.sbml import read_sbml
 from cicatrix.files.segmentations import read_labels
@@ -269,6 +270,29 @@ def mesh_says(folder: Path) -> Values:
     }
 
 
+def write_abaqus(folder: Path) -> list[str]:
+    """Write the bar as an input file of Abaqus: a set of nodes that is fixed, and one of elements."""
+    sound = bar()
+    held, everything = np.flatnonzero(sound.point_data["fixed"]), np.arange(len(sound.cells[0].data))
+    mesh = meshio.Mesh(sound.points, sound.cells, point_sets={"CHEST": held}, cell_sets={"FAT": [everything]})
+    mesh.write(folder / "body.inp")
+    return ["body.inp"]
+
+
+def abaqus_values(folder: Path) -> Values:
+    """Read a body whose support and tissue a case gives by the names of sets."""
+    given = ByGroup(fixed=("CHEST",), materials={"FAT": Tissue(3.0, 0.49, 1e3)})
+    body = read_body(only(folder, "body"), "mm", None, given)
+    return {"points": body.points, "tetrahedra": np.sort(body.tetrahedra, axis=1), "is_fixed": body.is_fixed}
+
+
+def abaqus_says(folder: Path) -> Values:
+    """Read nodes, elements and the fixed set by meshio alone."""
+    mesh = meshio.read(only(folder, "body"))
+    is_fixed = np.isin(np.arange(len(mesh.points)), mesh.point_sets["CHEST"])
+    return {"points": mesh.points, "tetrahedra": np.sort(mesh.cells_dict["tetra"], axis=1), "is_fixed": is_fixed}
+
+
 def grey() -> np.ndarray:
     """Return an image of a breast-like blob, values 0 to 1000 (12, 14, 16) int16."""
     z, y, x = np.meshgrid(*(np.linspace(-1, 1, n) for n in (12, 14, 16)), indexing="ij")
@@ -437,7 +461,7 @@ def _plan(keys: dict[str, Any]) -> Values:
 
 
 SOUND = Path("/nonexistent")  # folder of the sound inputs; set by robustness.py
-NEVER = ("mesh, Abaqus", "mesh, STL")  # a sound file of these has no tissue, or no tetrahedra: it is refused
+NEVER = ("mesh, STL",)  # a sound file of these has no tetrahedra: it is refused
 KINDS: dict[str, Kind] = {
     "case file (TOML)": text_kind("case.toml", AUTOMATON, case_values, case_says),
     "measured data (CSV)": text_kind("data.csv", MEASURED, measured_values, measured_says, case_toml=POINT),
@@ -449,7 +473,7 @@ KINDS: dict[str, Kind] = {
     "mesh, VTU": mesh_kind("body.vtu", binary=True),
     "mesh, VTK": mesh_kind("body.vtk", binary=False),
     "mesh, gmsh 4.1": mesh_kind("body.msh", file_format="gmsh", binary=True),
-    "mesh, Abaqus": mesh_kind("body.inp"),
+    "mesh, Abaqus": Kind(write_abaqus, abaqus_values, abaqus_says),
     "mesh, STL": mesh_kind("body.stl"),
     "image, NIfTI": image_kind("image.nii"),
     "image, NIfTI gzipped": image_kind("image.nii.gz", compressed=True),
