@@ -348,6 +348,35 @@ def test_other_files_in_the_folder_are_left_out_and_said(tmp_path):
     assert notes == ["Left out: 1 of the files in the folder, no DICOM images."]
 
 
+@pytest.mark.parametrize(
+    ("uid", "again", "is_damaged"),
+    [
+        ("1.3.12.2.1107.5.9.1", "1.3.12.2.1107.5.9.1", False),  # Siemens CSA Non-Image Storage
+        ("1.2.840.10008.5.1.4.1.1.88.11", "1.2.840.10008.5.1.4.1.1.88.11", False),  # a report
+        ("1.3.12.2.1107.5.9.1", "1.3.12.2.1107.5.9.2", True),  # a damaged digit
+        ("1.2.840.10008.5.1.4.1.1.4", "1.2.840.10008.5.1.4.1.1.4", True),  # an MR image that has lost its pixels
+        ("1.2.840.10008.5.1.4.9.9.9", "1.2.840.10008.5.1.4.9.9.9", True),  # no class of the standard
+    ],
+)
+def test_a_file_without_image_is_left_out_where_its_class_says_so(tmp_path, uid, again, is_damaged):
+    folder = save(tmp_path / "s", series())
+    other = pydicom.dcmread(folder / "im000.dcm", stop_before_pixels=True)
+    del other.Rows
+    other.file_meta.MediaStorageSOPClassUID, other.SOPClassUID = uid, again
+    other.save_as(folder / "im999.dcm")
+    if is_damaged:
+        assert "1 of 9 files cannot be read as DICOM" in refusal(folder)
+    else:
+        assert read(folder)[1] == ["Left out: 1 of the files in the folder, no DICOM images."]
+
+
+@pytest.mark.parametrize("start", ["", "a"])
+def test_a_text_that_is_cut_within_a_letter_is_a_text(tmp_path, start):
+    folder = save(tmp_path / "s", series(), "im{:03d}")
+    (folder / "readme").write_text(start + 3000 * "\N{LATIN SMALL LETTER E WITH ACUTE}", encoding="utf-8")
+    assert read(folder)[1] == ["Left out: 1 of the files in the folder, no DICOM images."]
+
+
 def test_files_without_preamble_are_read(tmp_path):
     folder = tmp_path / "s"
     folder.mkdir()

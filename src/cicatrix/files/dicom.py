@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
 else:
     pydicom = Deferred("pydicom")  # most runs read no DICOM
 
+STANDARD = "1.2.840.10008."  # how classes of the standard begin
 HEAD = 4096  # bytes by which a file is known to be DICOM, or text
 
 
@@ -108,10 +110,11 @@ def _headers(folder: Path, note: Note) -> list[tuple[Path, pydicom.Dataset]]:
 
 
 def _is_no_image(header: pydicom.Dataset) -> bool:
-    """Return whether the class of a DICOM file, which its first bytes name, is known and no image: a directory, a report."""
-    uid = getattr(getattr(header, "file_meta", None), "MediaStorageSOPClassUID", "")
-    name = pydicom.uid.UID(str(uid)).name
-    return name != str(uid) and "Image Storage" not in name
+    """Return whether the class of a DICOM file is that of no image: a directory, a report, or a maker's own, given twice."""
+    uid = pydicom.uid.UID(str(getattr(getattr(header, "file_meta", None), "MediaStorageSOPClassUID", "")))
+    if uid.name == uid:
+        return uid.is_valid and not uid.startswith(STANDARD) and _element(header, "SOPClassUID") == uid
+    return "Image Storage" not in uid.name
 
 
 def _ending(path: Path) -> str:
@@ -123,7 +126,7 @@ def _ending(path: Path) -> str:
 def _is_text(head: bytes) -> bool:
     """Return whether a file begins as text; an empty one does not."""
     try:
-        text = head[: HEAD - 4].decode("utf-8")
+        text = codecs.getincrementaldecoder("utf-8")().decode(head, final=len(head) < HEAD)
     except UnicodeDecodeError:
         return False
     return text != "" and all(letter.isprintable() or letter.isspace() or letter == "\ufeff" for letter in text)
