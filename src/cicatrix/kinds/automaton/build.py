@@ -32,6 +32,10 @@ def automaton_of(case: AutomatonCase) -> Automaton:
     open0 = _open_sites(case, lattice) & fillable
     if not open0.any():
         raise InputError("the wound has no site that can be filled: make it larger, or check lattice.fillable")
+    if not (fillable & ~open0).any():
+        raise InputError(
+            "the wound leaves no cell that could close it: make it smaller, or check that wound.mask is not inverted"
+        )
     r = case.rules
     rules = AutomatonRules(
         p_edge=r.p_edge,
