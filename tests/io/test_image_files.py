@@ -4,6 +4,7 @@ import bz2
 import gzip
 import os
 import struct
+import tracemalloc
 import zlib
 from pathlib import Path
 
@@ -262,6 +263,9 @@ def test_metaimages_that_are_not_compressed_as_they_say_are_refused(tmp_path):
         ("Offset", "Offset = 0 0 inf", "all three must be numbers"),
         ("DimSize", "DimSize = 12 10 8.5", "needs 3 numbers as DimSize"),
         ("ElementType", "ElementType = MET_OTHER", '"MET_OTHER" is unknown'),
+        ("DimSize", "DimSize = 1_2 10 8", "needs 3 numbers as DimSize"),
+        ("ObjectType", "ObjectType = Image\nHeaderSize = nan", "HeaderSize is nan"),
+        ("ElementSpacing", "ElementSpacing = 3 3 3\nElementSpacing = 2 2 2", "ElementSpacing twice"),
     ],
 )
 def test_a_metaimage_header_that_cannot_be_true_is_refused(tmp_path, line, instead, says):
@@ -307,6 +311,14 @@ def nrrd(path, data=None, **fields):
         ({"sizes": "12 ten 8"}, "whole numbers"),
         ({"data_file": "/dev/zero"}, "device"),
         ({"data_file": "none.raw"}, "are missing"),
+        ({"data_file": 5000 * "x"}, "are missing"),
+        ({"line_skip": "999999999999"}, "leave out 999,999,999,999 lines"),
+        ({"byte_skip": "999999999999"}, "behind 999,999,999,999 bytes"),
+        ({"byte_skip": "-2"}, '"byte skip" is -2'),
+        ({"sizes": "1_2 10 8"}, "whole numbers"),
+        ({"space_origin": "(1_0,0,0)"}, "not numbers"),
+        ({"space_origin": "(1e30,0,0)"}, "farther than 10 m"),
+        ({"Sizes": "12 10 9"}, '"sizes" twice'),
     ],
 )
 def test_an_nrrd_header_that_cannot_be_true_is_refused(tmp_path, fields, says):
@@ -339,7 +351,7 @@ def test_nrrd_is_read_in_all_its_encodings(tmp_path):
     )
 
 
-@pytest.mark.parametrize("value", ["40000", "-40000", "1.5", "nan", "ten"])
+@pytest.mark.parametrize("value", ["40000", "-40000", "1.5", "nan", "ten", "1_0"])
 def test_a_text_voxel_beyond_its_type_is_refused(tmp_path, value):
     text = " ".join([value, *(str(v) for v in BODY.ravel()[1:])]).encode()
     assert "a voxel is" in refusal(nrrd(tmp_path / "a.nrrd", text, encoding="ascii"))
@@ -365,6 +377,26 @@ def test_a_small_gzip_that_unpacks_to_much_is_left_early(tmp_path, monkeypatch):
     monkeypatch.setattr(gzip.GzipFile, "read", lambda self, n: read.append(n) or unpack(self, n))
     assert "more bytes than its header says" in refusal(path)
     assert sum(read) < 10_000
+
+
+@pytest.mark.parametrize("ending", ["nii.gz", "nrrd"])
+def test_bytes_before_the_voxels_are_not_kept(tmp_path, monkeypatch, ending):
+    if ending == "nrrd":
+        body = gzip.compress(bytes(1 << 22) + BODY.tobytes())
+        path = nrrd(tmp_path / "a.nrrd", body, encoding="gzip", byte_skip=str(1 << 22))
+    else:
+        head = bytearray(written(tmp_path, "nii").read_bytes()[:352])
+        struct.pack_into("<f", head, 108, 352.0 + (1 << 22))
+        path = tmp_path / "a.nii.gz"
+        path.write_bytes(gzip.compress(bytes(head) + bytes(1 << 22) + BODY.tobytes()))
+    monkeypatch.setattr("cicatrix.files.streams.PIECE", 1 << 16)
+    tracemalloc.start()
+    is_body(read_image(path))
+    most = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert most < 1 << 21
+    monkeypatch.setattr("cicatrix.files.streams.LONGEST_SKIP", 1 << 20)
+    assert "at most 1,048,576 can be left out" in refusal(path)
 
 
 def test_an_endless_header_is_left_early(tmp_path, monkeypatch):

@@ -13,6 +13,7 @@ Note = Callable[[str], None]
 
 MOST_VOXELS = 500_000_000
 SMALLEST_MM, LARGEST_MM = 20.0, 800.0  # largest edge of an image of a body part
+FARTHEST_MM = 10_000.0  # of a voxel from 0, which lies in the scanner or in the body
 FINEST_MM, COARSEST_MM = 0.01, 50.0  # edge of a voxel
 SHEAR = 1e-3  # direction cosines this close to orthonormal: 0.3 mm over 300 mm
 UNITS = ((0.5e-4, 0.8e-3, "kilometres"), (0.5e-2, 0.8, "metres"), (0.8, SMALLEST_MM, "centimetres or inches"))
@@ -114,6 +115,11 @@ def check_grid(grid: Grid, shape: tuple[int, ...], note: Note) -> None:
         raise InputError(f'the header gives lengths in "{grid.unit}"; they must be in mm')
     if grid.origin_mm is not None and not np.isfinite(grid.origin_mm).all():
         raise InputError(f"the header puts the first voxel at {_by(grid.origin_mm)} mm; all three must be numbers")
+    if grid.origin_mm is not None and np.abs(grid.origin_mm).max() > FARTHEST_MM:
+        raise InputError(
+            f"the header puts the first voxel at {_by(grid.origin_mm)} mm, farther than {FARTHEST_MM / 1000:g} m from 0; "
+            "convert the image again"
+        )
     if grid.directions is None:
         raise InputError(f"the header does not say how the image lies in the patient; {AXIS_WORDS}")
     check_directions(grid.directions)

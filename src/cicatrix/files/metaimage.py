@@ -12,7 +12,7 @@ import numpy as np
 from ..core.errors import InputError
 from .grid import Grid, Stored, check_size, scaled
 from .streams import Source, opened
-from .voxels import decoded, from_files, numbered
+from .voxels import decoded, from_files, numbered, numbers_in
 
 KEYS = (
     b"ObjectType",
@@ -66,9 +66,13 @@ def _header(source: Source) -> dict[str, str]:
     """Return the values by their keys; the last key says where the voxels are."""
     header: dict[str, str] = {}
     for _ in range(MOST_LINES):
-        key, _, value = source.line().partition("=")
-        header[key.strip()] = value.strip()
-        if key.strip() == "ElementDataFile":
+        key, value = (part.strip() for part in source.line().partition("=")[::2])
+        if key and header.get(key, value) != value:
+            raise InputError(
+                f'the MetaImage header gives {key[:60]} twice, as "{header[key][:60]}" and as "{value[:60]}"'
+            )
+        header[key] = value
+        if key == "ElementDataFile":
             return header
     raise InputError("the MetaImage header does not say where the voxels are (ElementDataFile = LOCAL)")
 
@@ -78,7 +82,7 @@ def _numbers(header: dict[str, str], key: str, n: int, default: float | None = N
     if key not in header and default is not None:
         return [float(default)] * n
     try:
-        numbers = [float(word) for word in header.get(key, "").split()]
+        numbers = numbers_in(header.get(key, "").split())
     except ValueError:
         numbers = []
     if len(numbers) != n or (key in ("NDims", "DimSize") and not all(0 < x < 2**31 and x == int(x) for x in numbers)):
@@ -124,8 +128,10 @@ def _storage(header: dict[str, str]) -> tuple[np.dtype, str, int]:
         )
     )
     kind = np.dtype((">" if is_big else "<") + TYPES[element])
-    skip = int(_numbers(header, "HeaderSize", 1, 0)[0])
-    return kind, "zlib" if is_packed else "text" if is_text else "raw", skip
+    skip = _numbers(header, "HeaderSize", 1, 0)[0]
+    if not (-1 <= skip < 2**63 and skip == int(skip)):
+        raise InputError(f"the MetaImage header's HeaderSize is {skip:g}; it must be a whole number of bytes, or -1")
+    return kind, "zlib" if is_packed else "text" if is_text else "raw", int(skip)
 
 
 def _names(text: str, source: Source) -> list[str] | None:

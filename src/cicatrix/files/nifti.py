@@ -117,10 +117,10 @@ def _skip_extensions(source: Source, offset: int, at: int, header: np.void) -> N
                 f"the header's extension at byte {at} has {length} bytes, but voxels begin at byte {offset} (vox_offset); "
                 "convert the image again"
             )
-        source.read(length - 8)
+        source.skip(length - 8)
         at += length
         has_extensions = at < offset
-    source.read(offset - at)
+    source.skip(offset - at)
 
 
 def _beside(path: Path) -> Path:

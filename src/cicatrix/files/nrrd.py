@@ -14,7 +14,7 @@ import numpy as np
 from ..core.errors import InputError
 from .grid import Grid, Stored, check_size
 from .streams import Source, opened
-from .voxels import decoded, from_files, numbered
+from .voxels import decoded, from_files, numbered, numbers_in
 
 MARK = b"NRRD000"
 LONGEST_HEADER = 1 << 24  # letters
@@ -94,7 +94,12 @@ def _header(source: Source) -> tuple[dict[str, str], dict[str, str]]:
         elif key.lower().strip() in ("data file", "datafile") and value.strip().startswith("LIST"):
             return fields | {"data file": "\n".join(["LIST", *_list(source)])}, pairs
         else:
-            fields[key.lower().strip().replace("datafile", "data file")] = value.strip()
+            name, value = key.lower().strip().replace("datafile", "data file"), value.strip()
+            if fields.get(name, value) != value:
+                raise InputError(
+                    f'the NRRD header gives "{name[:60]}" twice, as "{fields[name][:60]}" and as "{value[:60]}"'
+                )
+            fields[name] = value
     return fields, pairs
 
 
@@ -112,6 +117,8 @@ def _field(fields: dict[str, str], name: str) -> str:
 def _whole_numbers(fields: dict[str, str], name: str) -> list[int]:
     text = _field(fields, name)
     try:
+        if "_" in text:
+            raise ValueError  # Python would read 1_0 as 10
         numbers = [int(word) for word in text.split()]
     except ValueError:
         raise InputError(f'the NRRD field "{name}" must have whole numbers; got "{text[:60]}"') from None
@@ -144,7 +151,7 @@ def _vectors(text: str) -> list[np.ndarray | None]:
     """Return vectors written as (1,0,0) (0,1,0) none."""
     try:
         return [
-            None if word == "none" else np.array([float(x) for x in word.strip("()").split(",")])
+            None if word == "none" else np.array(numbers_in(word.strip("()").split(",")))
             for word in re.findall(r"\([^)]*\)|none", text)
         ]
     except ValueError:
@@ -176,7 +183,7 @@ def _grid(fields: dict[str, str], domain: list[int]) -> Grid:
 def _spacings(fields: dict[str, str], domain: list[int]) -> tuple[float, float, float]:
     words = fields.get("spacings", "").split()
     try:
-        sx, sy, sz = (float(words[axis]) for axis in domain)
+        sx, sy, sz = numbers_in(words[axis] for axis in domain)
     except (ValueError, IndexError):
         raise InputError(
             'the NRRD header gives no size of a voxel ("space directions" or "spacings"); convert the image again'
@@ -199,6 +206,8 @@ def _values(path: Path, source: Source, fields: dict[str, str], shape: tuple[int
     lines, skipped = (
         _whole_numbers(fields, f"{what} skip")[0] if fields.get(f"{what} skip") else 0 for what in ("line", "byte")
     )
+    if skipped < -1:
+        raise InputError(f'the NRRD field "byte skip" is {skipped}; it must be a number of bytes, or -1')
     if "data file" not in fields:
         return decoded(source, encoding, stored, shape, skipped, lines)
     return from_files(path.parent, _names(fields["data file"]), encoding, stored, shape, skipped, lines)

@@ -17,6 +17,8 @@ from .opening import regular_file
 GZIP = b"\x1f\x8b"
 PIECE = 1 << 24  # bytes read at once, so that a short file is noticed before its whole size is allocated
 LONGEST_LINE = 1 << 20
+LONGEST_SKIP = 1 << 30  # bytes between a header and its voxels
+MOST_LINES = 1_000_000  # lines that a header may ask to leave out
 TOO_LONG = "the file holds more bytes than its header says, so one of the two is damaged; convert it again"
 DAMAGED = "the file is cut short or damaged; copy it again from its source"
 
@@ -42,6 +44,24 @@ class Source:
                 raise InputError(DAMAGED)
             data += piece
         return data
+
+    def skip(self, n: int) -> None:
+        """Leave out the next ``n`` bytes, which are not kept.
+
+        Raises
+        ------
+        InputError
+            If there are fewer, they are damaged, or ``n`` is more than `LONGEST_SKIP`.
+        """
+        if n > LONGEST_SKIP:
+            raise InputError(
+                f"the header puts the voxels behind {n:,} bytes, and at most {LONGEST_SKIP:,} can be left out; convert it again"
+            )
+        while n > 0:
+            piece = self.some(min(n, PIECE))
+            if not piece:
+                raise InputError(DAMAGED)
+            n -= len(piece)
 
     def some(self, n: int) -> bytes:
         """Return at most ``n`` of the next bytes; none at the end."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ..core.errors import InputError
-from .streams import Source, opened
+from .streams import MOST_LINES, Source, opened
 
 
 def decoded(
@@ -32,6 +32,8 @@ def decoded(
     InputError
         If they are cut short, damaged, more than the header says or beyond their type.
     """
+    if not 0 <= skip_lines <= MOST_LINES:
+        raise InputError(f"the header asks to leave out {skip_lines:,} lines; it must be 0 to {MOST_LINES:,}")
     for _ in range(skip_lines):
         source.line()
     source = source.unpacked(encoding)
@@ -43,10 +45,18 @@ def decoded(
     elif skip < 0:
         data = source.last(n_bytes)
     else:
-        source.read(skip)
+        source.skip(skip)
         data = source.read(n_bytes)
         source.finish()
     return np.frombuffer(data, kind).reshape(shape).astype(kind.newbyteorder("="), copy=False)
+
+
+def numbers_in(words: Iterable[str]) -> list[float]:
+    """Return the numbers that words of a file write; unlike Python, which reads 1_0 as 10 (ValueError if a word is none)."""
+    words = list(words)
+    if any("_" in word for word in words):
+        raise ValueError("a number has no _")
+    return [float(word) for word in words]
 
 
 def from_files(
@@ -65,7 +75,7 @@ def from_files(
     InputError
         As :func:`decoded`, or if a file is missing or the slices cannot be shared out.
     """
-    if missing := [name for name in names if not (folder / name).exists()]:
+    if missing := [name for name in names if not _is_there(folder / name)]:
         raise InputError(
             f"{len(missing)} of the {len(names)} files that hold the voxels, as the header says, are missing"
         )
@@ -76,6 +86,13 @@ def from_files(
         with opened(folder / name, as_is=True) as source:
             parts.append(decoded(source, encoding, kind, (shape[0] // len(names), *shape[1:]), skip, skip_lines))
     return np.concatenate(parts) if len(parts) > 1 else parts[0]
+
+
+def _is_there(path: Path) -> bool:
+    try:
+        return path.exists()
+    except (OSError, ValueError):  # a name too long, or with a NUL character
+        return False
 
 
 def numbered(pattern: str, words: Sequence[str]) -> list[str]:
@@ -99,9 +116,9 @@ def numbered(pattern: str, words: Sequence[str]) -> list[str]:
 def _from_text(source: Source, kind: np.dtype, shape: tuple[int, ...]) -> np.ndarray:
     """Return voxels written as numbers; each must fit in its type."""
     n = int(np.prod(shape))
-    words = bytes(source.rest(32 * n + 4096)).split()
+    words = source.rest(32 * n + 4096).decode("ascii", "replace").split()
     try:
-        numbers = np.array([float(word) for word in words])
+        numbers = np.array(numbers_in(words))
     except ValueError:
         raise InputError("a voxel is not a number; convert the image again") from None
     if len(numbers) != n:
