@@ -258,6 +258,7 @@ def test_values_of_a_label_map_can_be_given_a_tissue(tmp_path):
     ("fields", "says"),
     [
         (named({1: "Segment_1", 2: "Fat", 3: "Skin"}), '"Segment_1" has no name of a tissue that is known'),
+        (named({1: "One", 2: "Fat", 3: "Two"}), 'the segments "One", "Two" have no name of a tissue that is known'),
         (named({1: "gland", 2: "fat"}), 'the segment "3" has no name'),
         (named({1: "gland", 2: "fat", 3: "skin"}, Segment1_LabelValue="x"), 'Segment1_LabelValue .* has "x"'),
         (named({1: "gland", 2: "fat", 3: "skin"}, Segment1_Layer="4"), "in layer 4, which is not in the file"),
@@ -346,7 +347,7 @@ def test_only_regular_files_are_opened(tmp_path):
 @pytest.mark.skipif(not FAULTS.exists(), reason="the shared folder is not beside the project")
 def test_a_slicer_file_that_names_two_of_its_five_values_is_refused_until_the_case_names_the_others():
     path = FAULTS / "toml" / "slicer.seg.nrrd"
-    with pytest.raises(InputError, match='the segment "3" has no name'):
+    with pytest.raises(InputError, match='the segments "3", "4", "5" have no name'):
         read_labels(path)
     labels = read_labels(path, {"3": "skin", "4": "tumour", "5": "chest"}).values
     cropped = read_labels(FAULTS / "toml" / "cropped.nii.gz").values

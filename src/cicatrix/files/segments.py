@@ -28,6 +28,7 @@ TISSUE_OF = {word: label for label, words in WORDS.items() for word in words.spl
 FILLING = re.compile(r"\b(?:tissues?|breasts?|segment|label|mask|of|the|\d+)\b")  # words that do not say which tissue
 BY_NAME = {label.name.lower(): label for label in Label}  # how a case names the tissues
 FIRST = (Label.TUMOUR, Label.SKIN, Label.GLAND, Label.FAT, Label.CHEST, Label.AIR)  # of segments that overlap
+MOST_SHOWN = 6  # names of segments in a sentence
 LEAST_SHARE = 0.5  # of a voxel that is in no segment to less than this, nothing is labelled
 OVERLAP = 1.25  # sum of shares from which segments overlap; fractions that are rounded may exceed 1 a little
 
@@ -79,7 +80,7 @@ def labels_of(segments: Sequence[Segment], given: Mapping[str, str], file: str) 
         raise InputError(f"{file}: the segmentation has no segment; a segment for each tissue is needed.")
     check_given(given, [s.name for s in segments], file)
     used = [s for s in segments if s.share.any()]  # a segment without voxels may have any name
-    tissues = [tissue_of(s, given, file) for s in used]
+    tissues = _tissues(used, given, file)
     values, overlap = _combined(segments[0].share.shape, [s.share for s in used], tissues)
     read = ", ".join(f'"{s.name}" is {t.name.lower()}' for s, t in zip(used, tissues))
     notes = [f"labels by name: {read}"]
@@ -117,34 +118,46 @@ def check_given(given: Mapping[str, str], names: Sequence[str], file: str) -> No
             raise InputError(f'image.label_names: {file} has no segment "{name}" but {_quoted(names)}{hint}')
 
 
-def tissue_of(segment: Segment, given: Mapping[str, str], file: str) -> Label:
-    """Return the tissue of a segment: as given, or by its name, or else by its coded type.
+def _tissues(segments: Sequence[Segment], given: Mapping[str, str], file: str) -> list[Label]:
+    """Return the tissues of segments; all those without a known name are told at once."""
+    found = [(segment, tissue_of(segment, given, file)) for segment in segments]
+    unknown = [segment.name for segment, tissue in found if tissue is None]
+    if unknown:
+        known = "; ".join(f"{label.name.lower()} ({', '.join(_examples(label))})" for label in Label)
+        more = f" and {len(unknown) - MOST_SHOWN} more" if len(unknown) > MOST_SHOWN else ""
+        which, has, them, their = (
+            ("segment", "has", "it", "its") if len(unknown) == 1 else ("segments", "have", "them", "their")
+        )
+        raise InputError(
+            f"{file}: the {which} {_quoted(unknown[:MOST_SHOWN])}{more} {has} no name of a tissue that is known ({known}); "
+            f"rename {them}, or {how_named(unknown[0], their)}"
+        )
+    return [tissue for _, tissue in found if tissue is not None]
+
+
+def tissue_of(segment: Segment, given: Mapping[str, str], file: str) -> Label | None:
+    """Return the tissue of a segment: as given, or by its name, or else by its coded type; None if none of them is known.
 
     Raises
     ------
     InputError
-        If none of them is known, or name and code contradict each other.
+        If name and code contradict each other.
     """
     if segment.name in given:
         return BY_NAME[given[segment.name]]
     by_name, by_code = (TISSUE_OF.get(_plain(words)) for words in (segment.name, segment.code))
-    how = how_named(segment.name)
     if by_name is not None and by_code is not None and by_name != by_code:
         raise InputError(
-            f'{file}: the segment "{segment.name}" has the coded type "{segment.code}", which is another tissue; {how}'
+            f'{file}: the segment "{segment.name}" has the coded type "{segment.code}", which is another tissue; '
+            f"{how_named(segment.name)}"
         )
-    found = by_code if by_name is None else by_name
-    if found is None:
-        known = "; ".join(f"{label.name.lower()} ({', '.join(_examples(label))})" for label in Label)
-        raise InputError(
-            f'{file}: the segment "{segment.name}" has no name of a tissue that is known ({known}); rename it, or {how}'
-        )
-    return found
+    return by_code if by_name is None else by_name
 
 
-def how_named(name: str) -> str:
+def how_named(name: str, whose: str = "its") -> str:
     """Return how a user names the tissue of a segment."""
-    return f'name its tissue, in a case as [image.label_names] "{name}" = "gland", in a command as --label-name "{name}=gland".'
+    case, command = f'[image.label_names] "{name}" = "gland"', f'--label-name "{name}=gland"'
+    return f"name {whose} tissue, in a case as {case}, in a command as {command}."
 
 
 def _combined(shape: tuple[int, ...], shares: Sequence[np.ndarray], tissues: Sequence[Label]) -> tuple[np.ndarray, int]:
