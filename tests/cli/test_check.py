@@ -1,5 +1,6 @@
 """``cicatrix check`` opens the files that a case names: what it passes, a run starts with."""
 
+import struct
 import time
 
 import meshio
@@ -217,6 +218,34 @@ def test_a_large_image_is_opened_as_far_as_its_header(folder, tmp_path, monkeypa
     assert check_case(path) == []
     (fault,) = check_case(path, ["resection.centre_mm=[40.0, -80.0, 10.0]"])
     assert "x -129.0 to -9.0" in fault
+
+
+def packed(at, form, *values):
+    return lambda raw: raw[:at] + struct.pack(form, *values) + raw[at + struct.calcsize(form) :]
+
+
+@pytest.mark.parametrize(
+    ("ending", "spoil", "says"),
+    [
+        ("nii", packed(252, "<2h", 0, 0), "how the image lies"),  # no codes
+        ("nii", packed(292, "<f", 50.0), "places the image twice"),
+        ("nii", packed(108, "<f", 0.0), "vox_offset"),
+        ("nrrd", lambda raw: raw.replace(b"left-posterior-superior", b"scanner-xyz"), "how the image lies"),
+        ("mha", lambda raw: raw.replace(b"TransformMatrix = 1 0 0 0 1 0 0 0 1\n", b""), "how the image lies"),
+    ],
+)
+def test_a_large_image_is_refused_by_the_header_that_a_run_refuses(tmp_path, monkeypatch, ending, spoil, says):
+    file = tmp_path / f"large.{ending}"
+    sitk.WriteImage(sitk.GetImageFromArray(np.ones((40, 50, 60), np.uint8)), str(file))
+    file.write_bytes(spoil(file.read_bytes()))
+    path = tmp_path / "case.toml"
+    path.write_text(LUMPECTOMY.format(image=f'path = "large.{ending}"', centre="[30.0, 25.0, 10.0]"))
+    (small,) = check_case(path)
+    monkeypatch.setattr(lumpectomy_check, "LARGEST", 1000)
+    assert check_case(path) == [small]
+    assert says in small
+    if "how" in says:
+        assert check_case(path, ['image.axes="LPS"']) == []
 
 
 def test_the_verb_says_it_in_a_line_each(folder, capsys):

@@ -7,39 +7,33 @@ from pathlib import Path
 
 import numpy as np
 
-from ..core.errors import InputError
-from .grid import Grid, Note, check_grid
-from .itk import sitk
-from .opening import regular_file
+from .grid import Note
+from .images import read_grid
 
 
-def image_box(path: Path, note: Note) -> np.ndarray:
+def image_box(path: Path, note: Note, *, axes: str | None = None, name: str | None = None) -> np.ndarray | None:
     """Return the lowest and the highest corner of the voxels of an image (2, 3) LPS [mm], without reading its voxels.
 
     Parameters
     ----------
     path : Path
-        A file in a format of SimpleITK.
+        A NIfTI, NRRD or MetaImage file; None is returned for DICOM, whose frames must be read.
     note : callable
         Takes sentences on what is assumed.
+    axes : str, optional
+        Directions of the file's x, y and z in the patient, in place of what its header says.
+    name : str, optional
+        What errors call the image; by default the file's name.
 
     Raises
     ------
     InputError
         If the header cannot be read, or cannot be true (:func:`.grid.check_grid`).
     """
-    reader = sitk.ImageFileReader()
-    reader.SetFileName(str(regular_file(path)))
-    try:
-        reader.ReadImageInformation()
-    except RuntimeError:
-        raise InputError("the header of the image cannot be read; copy the file again from its source") from None
-    n = reader.GetDimension()
-    size, spacing, origin = (
-        tuple(values[:3]) for values in (reader.GetSize(), reader.GetSpacing(), reader.GetOrigin())
-    )
-    directions = np.array(reader.GetDirection()).reshape(n, n)[:3, :3]
-    check_grid(Grid(spacing, origin, directions), size[::-1], note)
+    found = read_grid(path, note=note, axes=axes, name=name)
+    if found is None:
+        return None
+    size, grid = found
     ends = np.array(list(product(*((-0.5, count - 0.5) for count in size))))
-    corners = np.array(origin) + ends @ (directions * spacing).T
+    corners = np.array(grid.origin_mm or (0.0, 0.0, 0.0)) + ends @ (np.asarray(grid.directions) * grid.spacing_mm).T
     return np.stack([corners.min(axis=0), corners.max(axis=0)])

@@ -21,14 +21,15 @@ from .dicom import read_dicom
 from .dicom_mark import is_dicom
 from .grid import Grid, Note, Stored, check_grid
 from .itk import quiet, sitk
-from .metaimage import is_metaimage, read_metaimage
-from .nifti import is_nifti, read_nifti
-from .nrrd import is_nrrd, read_nrrd
+from .metaimage import is_metaimage, metaimage_header, read_metaimage
+from .nifti import is_nifti, nifti_header, read_nifti
+from .nrrd import is_nrrd, nrrd_header, read_nrrd
 from .pictures import steps_to
 from .streams import opened
 
 IDENTITY = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 KNOWN = "NIfTI (.nii, .nii.gz), NRRD (.nrrd, .nhdr), MetaImage (.mha, .mhd) or a folder with one DICOM series"
+UNKNOWN = f"this is not an image that can be read; give {KNOWN}, complete"
 TILT_TOLERANCE = 1e-4  # direction cosines this close to the axes count as aligned: 0.05 mm over half a metre
 HEAD = 1024  # bytes by which a format is known
 
@@ -99,6 +100,35 @@ def read_thinned(
         sx, sy, sz = stored.grid.spacing_mm
         grid = replace(stored.grid, spacing_mm=(sx * kx, sy * ky, sz * kz))
         return _volume(_axis_aligned(_itk(_intensities(values, note), grid), sitk.sitkLinear))
+
+
+def read_grid(
+    path: Path, *, note: Note = unheard, axes: str | None = None, name: str | None = None
+) -> tuple[tuple[int, int, int], Grid] | None:
+    """Return the numbers of voxels along x, y, z and where they lie, judged as :func:`read_image` does; no voxel is read.
+
+    Returns
+    -------
+    tuple or None
+        None for DICOM, whose header is spread over its frames.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_image`, of what the header tells.
+    """
+    with _named(path, name):
+        header, head = _head(path)
+        readers = ((is_nrrd, nrrd_header), (is_nifti, nifti_header), (is_metaimage, metaimage_header))
+        read = next((read for is_one, read in readers if is_one(head)), None)
+        if read is None and is_dicom(head):
+            return None
+        if read is None:
+            raise InputError(UNKNOWN)
+        size, grid = read(header)
+        grid = grid if axes is None else _turned(grid, axes)
+        check_grid(grid, size[::-1], note)
+        return size, grid
 
 
 def open_image(
@@ -194,12 +224,17 @@ def _stored(path: Path, note: Note, side: str | None, axes: str | None, *, layer
     return replace(stored, grid=grid)
 
 
-def _by_content(path: Path, side: str | None, note: Note, layers: bool) -> Stored:
+def _head(path: Path) -> tuple[Path, bytes]:
+    """Return the file that holds the header, and its first bytes."""
     header = path.with_suffix(".hdr")
     if path.suffix == ".img" and header.exists():  # the voxels of a pair, whose header tells what they are
         path = header
     with opened(path) as source:
-        head = source.some(HEAD)
+        return path, source.some(HEAD)
+
+
+def _by_content(path: Path, side: str | None, note: Note, layers: bool) -> Stored:
+    path, head = _head(path)
     if is_nrrd(head):
         return read_nrrd(path, layers=layers)
     if is_nifti(head):
@@ -208,7 +243,7 @@ def _by_content(path: Path, side: str | None, note: Note, layers: bool) -> Store
         return read_metaimage(path)
     if is_dicom(head):
         return read_dicom(path, side, note)
-    raise InputError(f"this is not an image that can be read; give {KNOWN}, complete")
+    raise InputError(UNKNOWN)
 
 
 def _intensities(values: np.ndarray, note: Note) -> np.ndarray:

@@ -45,10 +45,7 @@ def read_metaimage(path: Path) -> Stored:
     """
     with opened(path) as source:
         header = _header(source)
-        rank = int(_numbers(header, "NDims", 1)[0])
-        channels = int(_numbers(header, "ElementNumberOfChannels", 1, 1)[0])
-        size = check_size(tuple(int(n) for n in _numbers(header, "DimSize", rank)), channels)
-        grid = _grid(header, rank)
+        size, grid = _described(header)
         kind, encoding, skip = _storage(header)
         names = _names(header["ElementDataFile"], source)
         if names is None:
@@ -60,6 +57,19 @@ def read_metaimage(path: Path) -> Stored:
         for part, default in (("Slope", 1.0), ("Offset", 0.0))
     )
     return Stored(scaled(values, slope, intercept), grid)
+
+
+def metaimage_header(path: Path) -> tuple[tuple[int, int, int], Grid]:
+    """Return the numbers of voxels along x, y, z, and where they lie; no voxel is read. InputError as :func:`read_metaimage`."""
+    with opened(path) as source:
+        return _described(_header(source))
+
+
+def _described(header: dict[str, str]) -> tuple[tuple[int, int, int], Grid]:
+    rank = int(_numbers(header, "NDims", 1)[0])
+    channels = int(_numbers(header, "ElementNumberOfChannels", 1, 1)[0])
+    size = check_size(tuple(int(n) for n in _numbers(header, "DimSize", rank)), channels)
+    return size, _grid(header, rank)
 
 
 def _header(source: Source) -> dict[str, str]:

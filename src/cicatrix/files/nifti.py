@@ -60,15 +60,8 @@ def read_nifti(path: Path) -> Stored:
     """
     with opened(path) as source:
         header, length, is_pair = _header(source)
-        rank = int(header["dim"][0])
-        if not 1 <= rank <= 7:
-            raise InputError(f"the header gives {rank} dimensions (dim[0]); 3 are needed")
-        code = int(header["datatype"])
-        size = check_size(tuple(header["dim"][1 : rank + 1].tolist()), COMPONENTS.get(code, 1))
-        if code not in TYPES:
-            raise InputError(f"the header's datatype {code} is unknown; convert the image to integers or floats")
-        grid = _grid(header, size)
-        kind = np.dtype(header.dtype["datatype"].byteorder + TYPES[code])
+        size, grid = _described(header)
+        kind = np.dtype(header.dtype["datatype"].byteorder + TYPES[int(header["datatype"])])
         offset = _offset(header, 0 if is_pair else length + 4)
         if not is_pair:
             _skip_extensions(source, offset, length + 4, header)
@@ -78,6 +71,24 @@ def read_nifti(path: Path) -> Stored:
             values = decoded(source, "raw", kind, size[::-1], offset)
     slope, intercept = float(header["scl_slope"]), float(header["scl_inter"])
     return Stored(values if slope == 0 else scaled(values, slope, intercept), grid)  # 0: there is no scale
+
+
+def nifti_header(path: Path) -> tuple[tuple[int, int, int], Grid]:
+    """Return the numbers of voxels along x, y, z, and where they lie; voxels are not read. InputError as :func:`read_nifti`."""
+    with opened(path) as source:
+        header, length, is_pair = _header(source)
+        _offset(header, 0 if is_pair else length + 4)
+        return _described(header)
+
+
+def _described(header: np.void) -> tuple[tuple[int, int, int], Grid]:
+    rank, code = int(header["dim"][0]), int(header["datatype"])
+    if not 1 <= rank <= 7:
+        raise InputError(f"the header gives {rank} dimensions (dim[0]); 3 are needed")
+    size = check_size(tuple(header["dim"][1 : rank + 1].tolist()), COMPONENTS.get(code, 1))
+    if code not in TYPES:
+        raise InputError(f"the header's datatype {code} is unknown; convert the image to integers or floats")
+    return size, _grid(header, size)
 
 
 def _header(source: Source) -> tuple[np.void, int, bool]:

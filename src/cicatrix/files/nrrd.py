@@ -78,6 +78,16 @@ def read_nrrd(path: Path, *, layers: bool = False) -> Stored:
         return Stored(np.moveaxis(values, last, range(-len(last), 0)).reshape(*size[::-1], components), grid, pairs)
 
 
+def nrrd_header(path: Path) -> tuple[tuple[int, int, int], Grid]:
+    """Return the numbers of voxels along x, y, z, and where they lie; voxels are not read. InputError as :func:`read_nrrd`."""
+    with opened(path) as source:
+        fields, _ = _header(source)
+        sizes = _whole_numbers(fields, "sizes")
+        domain = _domain(fields, len(sizes))
+        components = int(np.prod([float(n) for axis, n in enumerate(sizes) if axis not in domain]))
+        return check_size(tuple(sizes[axis] for axis in domain), components), _grid(fields, domain)
+
+
 def _header(source: Source) -> tuple[dict[str, str], dict[str, str]]:
     """Return the fields by their names in lower case, and the key-value pairs; the header ends at an empty line."""
     fields, pairs, line, length = {}, {}, source.line(), 0

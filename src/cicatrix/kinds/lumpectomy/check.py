@@ -66,16 +66,17 @@ PARTS = {"image": image, "image.labels": labels, "healing.mechanosensing.species
 
 
 def _box(case: LumpectomyCase, notes: list[str]) -> np.ndarray | None:
-    """Return the lowest and the highest corner of the image (2, 3) LPS [mm], None if only voxels tell; add notes on reading."""
+    """Return the lowest and the highest corner of the image (2, 3) LPS [mm], None if there is no image; add notes on reading."""
     given = case.image
     if given.phantom is not None:
         return _box_of(phantom_grid(spacing_mm=min(given.voxel_mm, 10.0), side=given.side))
     if not isinstance(given.path, Path):
         return None
-    if given.path.is_dir() or given.path.stat().st_size <= LARGEST:
-        return _box_of(read_image(given.path, note=notes.append, side=given.side, axes=given.axes, name="image.path"))
-    box = image_box(given.path, notes.append)
-    return box if given.axes is None else None
+    if given.path.is_file() and given.path.stat().st_size > LARGEST:
+        box = image_box(given.path, notes.append, axes=given.axes, name="image.path")
+        if box is not None:
+            return box
+    return _box_of(read_image(given.path, note=notes.append, side=given.side, axes=given.axes, name="image.path"))
 
 
 def _box_of(volume: Volume) -> np.ndarray:
