@@ -370,6 +370,16 @@ def test_a_file_without_image_is_left_out_where_its_class_says_so(tmp_path, uid,
         assert read(folder)[1] == ["Left out: 1 of the files in the folder, no DICOM images."]
 
 
+def test_only_elements_of_a_reserved_block_follow_the_pixels(tmp_path):
+    canon = series()
+    for data in canon:  # as MR scanners of Toshiba and Canon write them
+        data.private_block(0xE401, "TOSHIBA_MEC_MR3^10", create=True).add_new(0x01, "LO", "anything")
+    is_body(read(save(tmp_path / "a", canon))[0])
+    stray = series()
+    stray[3].add_new(0xE4011001, "LO", "no block")
+    assert "no DICOM element follow" in refusal(save(tmp_path / "b", stray))
+
+
 @pytest.mark.parametrize("start", ["", "a"])
 def test_a_text_that_is_cut_within_a_letter_is_a_text(tmp_path, start):
     folder = save(tmp_path / "s", series(), "im{:03d}")

@@ -6,7 +6,7 @@ import contextlib
 import tempfile
 import warnings
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -110,12 +110,18 @@ class PixelFile:
         dataset = dataset_of(self._path, pixels=True)
         data = dataset.PixelData
         tags = list(dataset.keys())  # in the order of the file
-        if any(tag.group not in AFTER_PIXELS for tag in tags[tags.index(PIXELS) + 1 :]):
+        if not all(_may_follow(tag, tags) for tag in tags[tags.index(PIXELS) + 1 :]):
             raise InputError("bytes that are no DICOM element follow the pixels: the file is damaged; export it again")
         syntax = dataset.file_meta.get("TransferSyntaxUID")  # none: implicit and little endian
         if syntax and syntax.is_compressed and syntax != DEFLATED:
             return _decompressed(dataset, self._n_frames)
         return _native(dataset, data, self._n_frames, big=bool(syntax) and not syntax.is_little_endian)
+
+
+def _may_follow(tag: pydicom.tag.BaseTag, tags: Sequence[int]) -> bool:
+    """Return whether an element may follow the pixels: of a known group, or in a block that a maker reserved (PS3.5, 7.8.1)."""
+    reserved = (tag.group << 16) | (tag.element if tag.element < 0x100 else tag.element >> 8)
+    return tag.group in AFTER_PIXELS or (tag.group % 2 == 1 and reserved & 0xFFFF >= 0x10 and reserved in tags)
 
 
 def _native(dataset: pydicom.Dataset, data: bytes, n_frames: int, *, big: bool) -> np.ndarray:
