@@ -84,7 +84,7 @@ class DelegatedNetwork(NamedTuple):
         integrator = engine.integrator
         integrator.relative_tolerance = min(accuracy.relative, TIGHT)
         scale = [abs(one) for one in engine.model.getGlobalParameterValues() if one and np.isfinite(one)]
-        absolute = max(min(accuracy.absolute, ABSOLUTE * min([1.0, *scale])), 1e-100)
+        absolute = max(min(float(accuracy.absolute), ABSOLUTE) * min([1.0, *scale]), 1e-100)
         # a vector, because a scalar tolerance is multiplied by the state and can become 0 (sys-bio/roadrunner issues 1300, 1349)
         integrator.absolute_tolerance = [absolute] * engine.model.getNumRateRules()
         integrator.maximum_num_steps = accuracy.max_steps

@@ -50,7 +50,7 @@ class DelegatedRun(Simulation[DelegatedState]):
     def march(self, state: DelegatedState) -> Iterator[DelegatedState]:
         """Yield the whole course."""
         if not len(state.values):
-            yield DelegatedState(self.law.course(self.times, accuracy_of(self.case)))
+            yield DelegatedState(self.law.course(self.times, accuracy_of(self.case, np.ones(()))))
 
     def rows(self, state: DelegatedState) -> Iterator[Row]:
         """Return all rows: species, what changes besides them, and the inputs that the case sets."""
