@@ -144,3 +144,24 @@ def test_a_rule_switches_at_the_row_of_its_instant(case_file):
     history = cicatrix.simulate(load_case(case_file(model), [*settings, "sensitivity.at=none"])).history
     np.testing.assert_array_equal(history["k2"], [0.0] * 7 + [1.0] * 4)
     np.testing.assert_allclose(history["x"], np.arange(11.0), rtol=1e-9, atol=1e-12)
+
+
+def test_a_pulse_between_two_rows_is_not_missed(tmp_path):
+    time = '<csymbol encoding="text" definitionURL="http://www.sbml.org/sbml/symbols/time">t</csymbol>'
+    pulse = f"""<piecewise><piece><ci>k</ci><apply><and/><apply><gt/>{time}<cn>2</cn></apply><apply><lt/>{time}<apply><plus/>
+    <cn>2</cn><ci>d</ci></apply></apply></apply></piece><otherwise><cn>0</cn></otherwise></piecewise>"""
+    text = f"""{TOP}<listOfParameters><parameter id="x" value="0" constant="false"/><parameter id="k" value="3" constant="true"/>
+    <parameter id="d" value="0.01" constant="true"/></listOfParameters><listOfRules><rateRule variable="x"><math {MATH}>{pulse}
+    </math></rateRule></listOfRules></model></sbml>"""
+    (tmp_path / "model.xml").write_text(text)
+    tables = {
+        "kind": "signalling",
+        "network": {"sbml": str(tmp_path / "model.xml"), "time_unit": "h"},
+        "time": {"duration_h": 10.0, "step_h": 5.0},
+        "set": {"k": {"time_h": [0.0, 2.005], "value": [3.0, 5.0]}},
+        "sensitivity": {"at": "end"},
+    }
+    result = cicatrix.simulate(cicatrix.case_from(tables))
+    # by hand: 3 * 0.005 + 5 * 0.005
+    assert result.history["x"][-1] == pytest.approx(0.04, rel=1e-5)
+    assert any("move the instants" in note for note in result.manifest["notes"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import NamedTuple
 
 import jax.numpy as jnp
@@ -12,8 +13,9 @@ from ...biology.culprits import not_finite
 from ...biology.network_model import NetworkModel
 from ...biology.scales import magnitudes
 from ...biology.steady import N_TIMES, latin_hypercube
+from ...biology.switches import instants
 from ...core.errors import InputError
-from ...core.units import seconds_from_hours
+from ...core.units import hours_from_seconds, seconds_from_hours
 from ...numerics.ode import Accuracy
 from .case import SignallingCase
 
@@ -121,17 +123,22 @@ def rounded(times: np.ndarray, digits: int) -> np.ndarray:
     return np.array([float(f"{time:.{digits}g}") for time in times])
 
 
-def corners(case: SignallingCase) -> np.ndarray:
-    """Return the start, the end, and every time at which an input changes [h]."""
+def corners(case: SignallingCase, model: NetworkModel) -> np.ndarray:
+    """Return the start, the end, and every time at which an input changes or a formula switches [h]."""
     last = float(row_times(case)[-1])
     changes = {t for schedule in case.set.values() for t in schedule.time_h if 0.0 < t < last}
-    return np.array(sorted(changes | {0.0, last}))
+    times = np.array(sorted(changes | {0.0, last}))
+    switches = [
+        instants(model.law, inputs_at(case, model, start), *map(seconds_from_hours, (start, end)))
+        for start, end in pairwise(map(float, times))
+    ]
+    return np.unique(np.concatenate([times, *map(hours_from_seconds, switches)]))
 
 
 def chunks(case: SignallingCase, model: NetworkModel) -> list[Chunk]:
     """Divide the time course into intervals of constant inputs and few rows, at whose ends the solver restarts."""
     rows, laid = row_times(case), []
-    for start, end in zip(corners(case)[:-1], corners(case)[1:]):
+    for start, end in pairwise(corners(case, model)):
         inside = rows[(rows > start) & (rows <= end)]
         parts = [inside[i : i + N_TIMES - 2] for i in range(0, len(inside), N_TIMES - 2)] or [inside]
         for number, part in enumerate(parts):

@@ -15,6 +15,7 @@ from ...biology.network_model import NetworkModel
 from ...biology.roadrunner import DelegatedNetwork
 from ...biology.sensitivity import INPUT, Sensitivities, of_end, of_steady_state
 from ...biology.steady import SteadyStates, steady_states
+from ...biology.switches import depends_on_constants
 from ...core.errors import ConvergenceError
 from ...core.units import hours_from_seconds, seconds_from_hours
 from ...numerics.ode import Solution
@@ -44,6 +45,8 @@ from .verdict import notes_of, outcomes_of, verdict_of
 BEYOND_ALL = (
     1e30  # a species that would change by this multiple of its magnitude within the course is not one of nature
 )
+
+SHIFTED = "Derivatives at the end leave out that constants move the instants at which formulas switch."
 
 
 class NetworkState(NamedTuple):
@@ -236,7 +239,9 @@ class SignallingRun(Simulation[NetworkState]):
                 else:
                     derivatives[f"state {number}"] = by
         if asked in ("end", "both"):
-            at = corners(self.case)
+            at = corners(self.case, self.model)
+            if depends_on_constants(self.model.law):
+                self.notes.append(SHIFTED)
             inputs = np.array([inputs_at(self.case, self.model, float(t)) for t in at[:-1]])
             times = seconds_from_hours(at)
             derivatives["end"] = of_end(self.model.law, inputs, self.model.start, times, self.accuracy)
