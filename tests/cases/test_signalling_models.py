@@ -250,6 +250,10 @@ def test_rate_rules_without_a_parameter_draw_what_there_is(tmp_path):
     assert main(["run", str(path), "--out", str(tmp_path / "run")]) == 0
     assert {path.stem for path in (tmp_path / "run" / "figures").iterdir()} == {"courses", "steady_states"}
     assert {path.stem for path in (tmp_path / "run" / "tables").iterdir()} == {"steady_states"}
+    states = json.loads((tmp_path / "run" / "outcome.json").read_text())["steady_states"]["value"]
+    # x = 5.9999999973, y = 0.0046260601 by hand: y = 6 / (1 + x^4); its mirror, which no course reaches; the saddle between
+    assert [state["is_stable"] for state in states] == [True, True, False]
+    assert states[1]["values"]["y"] == pytest.approx(states[0]["values"]["x"]) == pytest.approx(6.0)
     assert not [
         note for note in json.loads((tmp_path / "run" / "manifest.json").read_text())["notes"] if "figure" in note
     ]

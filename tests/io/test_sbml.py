@@ -206,3 +206,36 @@ def test_a_formula_of_everything(tmp_path):
     assert law.is_time_dependent
     np.testing.assert_allclose(law.rate(np.array([2.0]), None, 0.5), [8.0])
     np.testing.assert_allclose(law.rate(np.array([2.0]), None, 1.5), [2.0 + 5.0 - np.pi])
+
+
+def test_a_stoichiometry_of_level_1_is_a_fraction(tmp_path):
+    text = """<sbml xmlns="http://www.sbml.org/sbml/level1" level="1" version="2"><model name="m"><listOfCompartments>
+    <compartment name="c" volume="1"/></listOfCompartments><listOfSpecies><species name="A" compartment="c" initialAmount="4"/>
+    <species name="B" compartment="c" initialAmount="0"/></listOfSpecies><listOfReactions><reaction name="J"><listOfReactants>
+    <speciesReference species="A"/></listOfReactants><listOfProducts>
+    <speciesReference species="B" stoichiometry="3" denominator="2"/></listOfProducts><kineticLaw formula="0.2 * A"/></reaction>
+    </listOfReactions></model></sbml>"""
+    (tmp_path / "m.xml").write_text(text)
+    model = read_sbml(tmp_path / "m.xml")
+    # by hand: 0.2 * 4 = 0.8 of A are lost, 3/2 of them appear as B
+    np.testing.assert_allclose(model.law.rate(model.start), [-0.8, 1.2])
+
+
+@pytest.mark.parametrize(
+    ("units", "seconds", "said"),
+    [
+        ('<unit kind="dimensionless" exponent="1" scale="0" multiplier="60"/>{second}', 60.0, False),
+        ("{second}{second}", 1.0, True),
+        ('<unit kind="mole" exponent="1" scale="0" multiplier="60"/>', 1.0, True),
+    ],
+)
+def test_a_unit_of_time_may_have_parts(units, seconds, said, tmp_path):
+    units = units.format(second='<unit kind="second" exponent="1" scale="0" multiplier="1"/>')
+    text = f"""<sbml xmlns="http://www.sbml.org/sbml/level3/version1/core" level="3" version="1"><model id="m" timeUnits="t">
+    <listOfUnitDefinitions><unitDefinition id="t"><listOfUnits>{units}</listOfUnits></unitDefinition></listOfUnitDefinitions>
+    <listOfParameters><parameter id="x" value="1" constant="false"/></listOfParameters><listOfRules><rateRule variable="x">
+    <math xmlns="http://www.w3.org/1998/Math/MathML"><cn>1</cn></math></rateRule></listOfRules></model></sbml>"""
+    (tmp_path / "m.xml").write_text(text)
+    model = read_sbml(tmp_path / "m.xml")
+    assert model.law.seconds == seconds
+    assert [note for note in model.notes if '"t", which is no time' in note] == list(model.notes[: int(said)])

@@ -7,6 +7,7 @@ from scipy.optimize import brentq
 
 from cicatrix.biology.balances import Balances, balances_of
 from cicatrix.biology.culprits import fastest, not_finite
+from cicatrix.biology.expressions import TIME
 from cicatrix.biology.kinetics import Kinetics
 from cicatrix.biology.scales import magnitudes
 from cicatrix.biology.steady import SteadyState, SteadyStates, steady_states
@@ -205,7 +206,7 @@ def test_a_start_without_a_derivative_is_skipped():
 
 
 def test_the_formula_to_blame_is_named():
-    gap = ("piecewise", n(1.0), ("lt", ("time",), n(2.0)))
+    gap = ("piecewise", n(1.0), ("lt", (TIME,), n(2.0)))
     law = kinetics(["X"], {"k": 1.0}, {"flow": gap, "twice": times(n(2.0), "flow")}, [of("twice")])
     assert not_finite(law, law.values, np.ones(1), 1.0) is None
     told = 'the formula of "flow" is not a number, since none of the conditions of its piecewise holds and it has no otherwise'
@@ -220,6 +221,6 @@ def test_the_formula_to_blame_is_named():
 
 
 def test_time_is_no_term_that_cancels():
-    law = kinetics(["X", "P"], {}, {}, [times(n(-1.0), ("time",), "X"), times(("time",), "X")])
+    law = kinetics(["X", "P"], {}, {}, [times(n(-1.0), (TIME,), "X"), times((TIME,), "X")])
     np.testing.assert_array_equal(balances_of(law, law.values).conserved, [[1.0, 1.0]])
     assert float(law.under().rate(jnp.array([2.0, 0.0]), 3.0)[1]) == 6.0

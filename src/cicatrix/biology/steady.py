@@ -18,6 +18,9 @@ SAME = 1e-5  # difference, relative to the scale, below which two states count a
 VANISHING = 1e-9  # a rate counts as 0 below this share of the turnover
 CONVERGED = 1e-10  # Newton's method ends below this step, relative to the scale
 NEUTRAL = 1e-9  # eigenvalues below this, relative to the largest one, count as 0
+WIDE = (
+    30  # initial guesses of Newton's method up to the largest magnitude, as in a switch that starts with one side off
+)
 BETWEEN = 9  # initial guesses of Newton's method between each pair of states found
 ITERATIONS = 50
 HALVES = (1.0, 0.5, 0.25, 0.125, 0.0625)  # fractions of a Newton step that the line search tries
@@ -133,10 +136,10 @@ def steady_states(
     -----
     A state is steady if the rate of every species is 0 within :data:`VANISHING` of its turnover. Each initial state is assigned
     to the steady state at the end of its course: basins of attraction are those of the network's own dynamics, tau included.
-    Newton's method from all initial states, and from points between the states found, adds states that no course reached,
-    such as saddles between basins. It solves for vanishing rates and the totals of the conserved sums together, so every state
-    found has the totals of the first start. Stability follows from the eigenvalues of the Jacobian. The list of
-    states is not guaranteed to be complete.
+    Newton's method from all initial states, from points between the states found, and, where magnitudes differ, from points up
+    to the largest of them, adds states that no course reached, such as saddles between basins. It solves for vanishing rates and
+    the totals of the conserved sums together, so every state found has the totals of the first start. Stability follows from
+    the eigenvalues of the Jacobian. The list of states is not guaranteed to be complete.
     """
     balances = balances_of(law, inputs)
     if len(balances.growing):
@@ -152,7 +155,7 @@ def steady_states(
         is_skipped[number] = end is None
         if y is not None:
             reached[number] = _number_of(y, found, scale)
-    for guess in _guesses(np.vstack([starts, 0.5 * scale]), found):
+    for guess in _guesses(np.vstack([starts, 0.5 * scale, *_wide(scale)]), found):
         y = _newton(problem, guess)
         if y is not None and np.all((y > -SAME * scale) | (starts.min(0) < 0.0)):
             _number_of(y, found, scale)
@@ -232,6 +235,14 @@ def _is_steady(problem: _Problem, y: np.ndarray) -> bool:
 
 def _reciprocal(values: np.ndarray) -> np.ndarray:
     return 1.0 / np.where(values > 0.0, values, 1.0)
+
+
+def _wide(scale: np.ndarray) -> np.ndarray:
+    """Return guesses (n, n_species) in which every species is up to twice the largest magnitude; none if all are about equal."""
+    if np.max(scale) <= 2.0 * np.min(scale):
+        return np.zeros((0, len(scale)))
+    rng = np.random.Generator(np.random.Philox(0))
+    return latin_hypercube(np.zeros_like(scale), np.full_like(scale, 2.0 * np.max(scale)), WIDE, rng)
 
 
 def _guesses(starts: np.ndarray, found: Sequence[np.ndarray]) -> list[np.ndarray]:

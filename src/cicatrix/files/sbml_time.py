@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from ..core.units import unit_factor
@@ -20,9 +21,8 @@ def seconds_of(model: Any, asked: str | None) -> tuple[float, list[str]]:
     """
     stated = _stated(model)
     if asked is None:
-        return (
-            (1.0, ["The file does not state its unit of time; seconds are taken."]) if stated is None else (stated, [])
-        )
+        named = f'"{model.getTimeUnits()}", which is no time' if model.getTimeUnits() else "no unit of time"
+        return (1.0, [f"The file states {named}; seconds are taken."]) if stated is None else (stated, [])
     seconds = unit_factor(asked, "s")
     if stated is not None and model.getLevel() > 2 and abs(stated - seconds) > 1e-9 * seconds:
         return seconds, [
@@ -37,7 +37,8 @@ def _stated(model: Any) -> float | None:
     unit = model.getUnitDefinition(name)
     if unit is None:
         return 1.0 if name == "second" or model.getLevel() < 3 else None
-    if unit.getNumUnits() == 1 and unit.getUnit(0).isSecond() and unit.getUnit(0).getExponentAsDouble() == 1.0:
-        one = unit.getUnit(0)
-        return float(one.getMultiplier() * 10.0 ** one.getScale())
-    return None
+    parts = [unit.getUnit(k) for k in range(unit.getNumUnits())]
+    of_time = sum(one.getExponentAsDouble() for one in parts if one.isSecond())
+    if of_time != 1.0 or not all(one.isSecond() or one.isDimensionless() for one in parts):
+        return None
+    return math.prod(float(one.getMultiplier() * 10.0 ** one.getScale()) ** one.getExponentAsDouble() for one in parts)

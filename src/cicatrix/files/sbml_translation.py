@@ -279,4 +279,5 @@ class _Translation:
             return ("times", number(sign), expression_of(reference.getStoichiometryMath().getMath()))
         if self._is_variable(reference):
             return ("times", number(sign), name(reference.getId()))
-        return number(sign * (reference.getStoichiometry() if reference.isSetStoichiometry() else 1.0))
+        of = reference.getStoichiometry() if reference.isSetStoichiometry() else 1.0
+        return number(sign * of / reference.getDenominator())  # Level 1 has fractions

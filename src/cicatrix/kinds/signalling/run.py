@@ -154,7 +154,7 @@ class SignallingRun(Simulation[NetworkState]):
 
     def _undefined_after(self, chunk: Chunk, done: Solution) -> str | None:
         """Name the formula that is not a number when or soon after the solver stopped, at the state that it reached."""
-        at, end = float(done.reached), float(seconds_from_hours(chunk.times_h[-1]))
+        at, end = float(done.reached), float(seconds_from_hours(self.chunks[-1].times_h[-1]))
         faults = (
             not_finite(self.model.law, chunk.inputs, np.asarray(done.last), time)
             for time in (at, at + 1e-6 * (end - at))
