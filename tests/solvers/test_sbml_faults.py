@@ -322,3 +322,20 @@ def test_constants_follow_in_a_chain_and_amounts_of_constant_species_stay(tmp_pa
     followed = read_sbml(path, None, {"c": ((0.0, 4.0),)}).law
     assert followed.input_names == ("c", "a")
     np.testing.assert_allclose(followed.observe(np.ones((1, 1)), np.array([4.0, 3.0])), [[0.5, 6.0, 7.0]])
+
+
+def test_a_sum_of_a_thousand_terms_is_read(tmp_path):
+    (tmp_path / "m.xml").write_text(sbml(growing(("plus", *["x"] * 1000))))
+    model = read_sbml(tmp_path / "m.xml")
+    np.testing.assert_allclose(model.law.rate(model.start), [1000.0])
+
+
+def test_a_text_formula_nested_too_deep_is_refused(tmp_path):
+    formula = "p" + " - p" * 3000
+    (tmp_path / "m.xml").write_text(
+        '<sbml xmlns="http://www.sbml.org/sbml/level1" level="1" version="2"><model name="m"><listOfCompartments>'
+        '<compartment name="c"/></listOfCompartments><listOfParameters><parameter name="p" value="1"/></listOfParameters>'
+        f'<listOfRules><parameterRule name="p" type="rate" formula="{formula}"/></listOfRules></model></sbml>'
+    )
+    with pytest.raises(InputError, match="nested too deep to be evaluated; split it"):
+        read_sbml(tmp_path / "m.xml")

@@ -63,6 +63,10 @@ def read_sbml(path: Path, time_unit: str | None = None, changes: Changes | None 
             )
         build = _delegated if equations.features else _kinetics
         model = build(equations, seconds, changes)
+    except RecursionError:
+        raise InputError(
+            f"{path}: a formula is nested too deep to be evaluated; split it into assignment rules"
+        ) from None
     except InputError as error:
         joint = " " if str(error).startswith(("uses ", "gives ")) else ": "
         raise InputError(f"{path}{joint}{error}") from None

@@ -132,8 +132,12 @@ def _refuse_exploding(path: Path, model: Any, libsbml: ModuleType) -> None:
 
 
 def _size(node: Any, sizes: dict[str, int], libsbml: ModuleType) -> int:
-    own = sizes.get(node.getName(), 1) if node.getType() == libsbml.AST_FUNCTION else 1
-    return min(own + sum(_size(node.getChild(k), sizes, libsbml) for k in range(node.getNumChildren())), 10 * LARGEST)
+    size, left = 0, [node]
+    while left:  # not by recursion: libsbml nests a long sum as deep as it has terms
+        one = left.pop()
+        size += sizes.get(one.getName(), 1) if one.getType() == libsbml.AST_FUNCTION else 1
+        left += [one.getChild(k) for k in range(one.getNumChildren())]
+    return min(size, 10 * LARGEST)
 
 
 def formulas(model: Any) -> Iterator[Any]:

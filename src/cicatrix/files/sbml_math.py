@@ -71,7 +71,19 @@ def expression_of(node: Any) -> Expression:
         raise InputError("uses delays (values of the past), which neither cicatrix nor libroadrunner can integrate")
     if word not in WORDS:
         raise InputError(f'uses the function "{node.getName() or word.lower()}", which cicatrix does not support')
-    return _joined(WORDS[word], [expression_of(node.getChild(k)) for k in range(_arguments(WORDS[word], node))])
+    return _joined(WORDS[word], [expression_of(one) for one in _operands(WORDS[word], node)])
+
+
+def _operands(word: str, node: Any) -> list[Any]:
+    """Return the arguments of a function; those of the long sum or product that libsbml nests in its first argument, at once."""
+    backwards: list[Any] = []
+    while True:
+        parts = [node.getChild(k) for k in range(_arguments(word, node))]
+        is_longer = word in ("plus", "times") and len(parts) > 1 and parts[0].getType() == node.getType()
+        backwards += reversed(parts[1:] if is_longer else parts)
+        if not is_longer:
+            return backwards[::-1]
+        node = parts[0]
 
 
 def _arguments(word: str, node: Any) -> int:
