@@ -6,7 +6,7 @@ import pytest
 from cicatrix.core.errors import ConvergenceError
 from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.equilibrium import Equilibrium
-from cicatrix.mechanics.failure import NoEquilibriumError, buckling_share
+from cicatrix.mechanics.failure import NoEquilibriumError, buckling_share, explanation, load_words
 from cicatrix.mechanics.problem import Problem
 
 LENGTH, WIDTH, DENSITY, YOUNG = 100.0, 6.0, 1e-6, 50.0
@@ -69,3 +69,70 @@ def test_an_unloaded_shape_that_does_not_exist_is_told_with_the_share_of_the_loa
     with pytest.raises(ConvergenceError, match=r"Beyond .* % of the load no unloaded shape was found") as caught:
         Equilibrium().unloaded(body, body.discretization.space.positions, np.array([-1e5, 0.0, 0.0]))
     assert "Give stiffer tissue" in str(caught.value)
+
+
+@pytest.mark.parametrize("times", [0.99, 1.01])
+def test_an_upright_column_beyond_its_critical_weight_is_no_solution(rectangle, body_on, times):
+    """Stability is judged at the shape found: its tangent has no negative eigenvalue, or no shape is returned."""
+    critical = 7.8373 * YOUNG * WIDTH**2 / 12.0 / (DENSITY * LENGTH**3)
+    body = column(rectangle, body_on)
+    X = body.discretization.space.positions
+    try:
+        x, _ = Equilibrium().loaded(body, X, np.array([-times * critical, 0.0, 0.0]))
+    except NoEquilibriumError as error:
+        assert times > 1.0
+        x = error.positions
+    matrix, _ = body.linearised(X, x, body.volume_ratio(X, x), in_plane=True)
+    assert np.linalg.eigvalsh(matrix.toarray())[0] > 0.0
+
+
+def test_what_is_stretched_does_not_buckle(rectangle, body_on):
+    """Nor is a displacement called a load."""
+    mesh = rectangle(LENGTH, WIDTH, 10, 1)
+    body = body_on(mesh, NeoHookean(*moduli_from_young(YOUNG, 0.3)), lambda p: (p[0] < 1e-9) | (p[0] > LENGTH - 1e-9))
+    X = body.discretization.space.positions
+    problem = problem_of(body, 0.0)
+    assert load_words(problem) == "prescribed displacement"
+    stretched = X * [1.5, 1.0, 1.0]
+    cause, remedy = explanation(problem, stretched, 0.1, None, ["found an unstable equilibrium"])
+    assert cause == (
+        "The body, which is stretched, loses its stability beyond 10 % of the prescribed displacement, "
+        "and no stable shape was found."
+    )
+    assert remedy == "Stiffen the tissue, or reduce the prescribed displacement."
+    squeezed, _ = explanation(problem, X * [0.8, 1.0, 1.0], 0.1, None, ["found an unstable equilibrium"])
+    assert squeezed.startswith("The body buckles beyond 10 % of the prescribed displacement")
+
+
+def test_what_smaller_steps_reach_is_the_solution(rectangle, body_on, monkeypatch):
+    """Where the search for the last stable shape comes to the whole load, that shape is the answer, as without any failure."""
+    body = column(rectangle, body_on, nu=0.45)
+    X, gravity = body.discretization.space.positions, np.array([1000.0, 0.0, 0.0])
+    expected, _ = Equilibrium().loaded(body, X, gravity)
+    solve, reached = Equilibrium._newton, [0.0]
+
+    def newton(self, problem, report):
+        if problem.gravity[0] > reached[0] + 100.0:
+            raise ConvergenceError("too large a step", ["too large a step"])
+        x = solve(self, problem, report)
+        reached[0] = problem.gravity[0]
+        return x
+
+    def minimise(self, problem, report):
+        raise ConvergenceError("no minimum", ["no minimum"])
+
+    monkeypatch.setattr(Equilibrium, "_newton", newton)
+    monkeypatch.setattr(Equilibrium, "_minimise", minimise)
+    found, report = Equilibrium().loaded(body, X, gravity)
+    np.testing.assert_allclose(found, expected, atol=1e-6)
+    assert "from the last shape under a part of the load, in smaller steps" in report.history
+
+
+def test_a_load_below_round_off_asks_for_a_larger_tolerance(rectangle, body_on):
+    """The residual of stiff tissue under next to no load cannot fall below its round-off; the shape itself is no trouble."""
+    body = column(rectangle, body_on, E=1e5, nu=0.45)
+    words = str(failure(body, 1e3))
+    assert words.startswith("The body is so stiff for its load that rounding keeps the residual at ")
+    larger = float(words.split("of at least ")[1].rstrip("."))
+    X = body.discretization.space.positions
+    Equilibrium(larger).loaded(body, X, np.array([1e3, 0.0, 0.0]))

@@ -14,8 +14,16 @@ from ..core.named import part
 from ..numerics.linear import Engine, LinearSolver
 from ..numerics.newton import NewtonReport, minimise, newton, ramp
 from .body import Body, Discretization
-from .failure import MAX_UNKNOWNS, NoEquilibriumError, buckling_share, explanation
-from .problem import Problem
+from .failure import (
+    MAX_UNKNOWNS,
+    NEARLY_SOLVED,
+    NoEquilibriumError,
+    buckling_share,
+    explanation,
+    load_words,
+    rounding,
+)
+from .problem import Problem, Tangent
 
 SMALLEST_STEP = 0.25  # smallest load step, as a fraction of the load; below it, minimising the energy is cheaper
 REUSE_BELOW = 0.05  # under gravity alone, reuse the tangent if the last step reduced the residual below this fraction
@@ -158,27 +166,45 @@ class Equilibrium:
                 return ramp(path.advance, path.reached, report, **steps), report
             except ConvergenceError as error:
                 if number == len(paths) - 1 and not body.has_potential:
+                    if (found := self._in_smaller_steps(problem, by_load, report)) is not None:
+                        return found, report
                     raise self._no_equilibrium(problem, by_load, report, []) from error
         report.history.append("minimising the potential energy from there")
         try:
             last = self._predicted(replace(problem, x=paths[-1][1].reached), 1.0, prescribed_positions)
             return self._minimise(last, report), report
         except ConvergenceError as error:
+            if (found := self._in_smaller_steps(problem, by_load, report)) is not None:
+                return found, report
             raise self._no_equilibrium(problem, by_load, report, error.history) from error
+
+    def _in_smaller_steps(self, problem: Problem, by_load: _Path, report: NewtonReport) -> np.ndarray | None:
+        """Go on along the path in smaller steps; return the shape at its end (n_nodes, 3) [mm], or None if that fails."""
+        if problem.supports.n_unknowns > MAX_UNKNOWNS:
+            return None
+        again = NewtonReport(tell=self.tell)
+        with contextlib.suppress(ConvergenceError):
+            x = ramp(by_load.advance, by_load.reached, again, start=by_load.share, smallest=SMALLEST_STEP / 16)
+            report.append(again, "from the last shape under a part of the load, in smaller steps")
+            return x
+        return None
 
     def _no_equilibrium(
         self, problem: Problem, by_load: _Path, report: NewtonReport, last_lines: list[str]
     ) -> NoEquilibriumError:
         """Return the error for a body without equilibrium under the whole load, with its cause and its last stable shape."""
-        history, again, critical = report.history + last_lines, NewtonReport(tell=self.tell), None
+        critical = None
         if problem.supports.n_unknowns <= MAX_UNKNOWNS:
-            with contextlib.suppress(ConvergenceError):  # it fails again; what counts is how far it comes
-                ramp(by_load.advance, by_load.reached, again, start=by_load.share, smallest=SMALLEST_STEP / 16)
             critical = buckling_share(problem, by_load.reached, by_load.share)
         if critical is not None:
             with contextlib.suppress(ConvergenceError):
-                by_load.advance(by_load.reached, by_load.share + BEFORE_BUCKLING * (critical - by_load.share))
-        return _failure(problem, by_load, critical, history)
+                nearer = by_load.share + BEFORE_BUCKLING * (min(critical, 1.0) - by_load.share)
+                by_load.advance(by_load.reached, nearer)
+        failed = _failure(problem, by_load, critical, report.history + last_lines)
+        residual = min(report.norms, default=np.inf) / problem.weight if problem.weight else np.inf
+        if by_load.share == 0.0 and self.relative_tolerance < residual < NEARLY_SOLVED:
+            return NoEquilibriumError(*rounding(residual), failed.history, by_load.reached, 0.0)
+        return failed
 
     def _predicted(self, problem: Problem, share: float, prescribed_positions: np.ndarray | None) -> Problem:
         """Return the problem with a better initial guess for a fraction ``share`` of the prescribed displacement.
@@ -284,7 +310,10 @@ class Equilibrium:
         def norm(r: np.ndarray) -> float:
             return body.discretization.norm(r[:n], r[n:])
 
-        frozen = _FrozenTangent(lambda z: problem.linearised(z[:n], z[n:].reshape(shape)), below, tolerance, norm)
+        def linearised(z: np.ndarray) -> Tangent:
+            return problem.linearised(z[:n], z[n:].reshape(shape))
+
+        frozen = _FrozenTangent(linearised, below, tolerance, norm)
 
         def step(z: np.ndarray, r: np.ndarray) -> np.ndarray:
             tangent, forcing = frozen.at(z, r)
@@ -295,7 +324,7 @@ class Equilibrium:
 
         z = np.concatenate([problem.unknowns(problem.x), problem.volume_ratios.ravel()])
         z = newton(residual, step, z, tolerance=tolerance, report=report, norm=norm)
-        if frozen.value is not None and problem.is_symmetric and not solver.is_definite(frozen.value.matrix):
+        if frozen.value is not None and problem.is_symmetric and not solver.is_definite(linearised(z).matrix):
             raise ConvergenceError("Newton's method found an unstable equilibrium.", ["found an unstable equilibrium"])
         _check_elements(body, *problem.shapes(z[:n]))
         return problem.positions(z[:n])
@@ -353,8 +382,8 @@ def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
 
 
 def _failure(problem: Problem, by_load: _Path, critical: float | None, history: list[str]) -> NoEquilibriumError:
-    cause, remedy = explanation(problem, by_load.share, critical, history)
-    return NoEquilibriumError(cause, remedy, history, by_load.reached, by_load.share)
+    cause, remedy = explanation(problem, by_load.reached, by_load.share, critical, history)
+    return NoEquilibriumError(cause, remedy, history, by_load.reached, by_load.share, load_words(problem))
 
 
 class _Path:

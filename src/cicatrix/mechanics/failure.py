@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 MAX_POISSON_RATIO = 0.499  # above it, round-off in the pressure exceeds the solver's tolerance
 PROBE = 1e-4  # displacement with which the change of stiffness is measured, relative to body size
+NEARLY_SOLVED = 1e-4  # share of the load below which a residual that stays above the tolerance is round-off
 BELIEVED_TO = 1.5  # largest share of the load at which a linear prediction of buckling is reported
 MAX_UNKNOWNS = (
     60_000  # of larger bodies, the search for the last stable shape would take longer than the solve that failed
@@ -38,40 +39,75 @@ class NoEquilibriumError(ConvergenceError):
         Last stable shape on the way to the whole load.
     share : float
         Share of the load that this shape carries [1].
+    load : str
+        What the load is called in a sentence.
     """
 
-    def __init__(self, cause: str, remedy: str, history: list[str], positions: np.ndarray, share: float) -> None:
+    def __init__(
+        self, cause: str, remedy: str, history: list[str], positions: np.ndarray, share: float, load: str = "load"
+    ) -> None:
         super().__init__(f"{cause} {remedy}", history)
-        self.cause, self.remedy, self.positions, self.share = cause, remedy, positions, share
+        self.cause, self.remedy, self.positions, self.share, self.load = cause, remedy, positions, share, load
 
 
-def explanation(problem: Problem, share: float, critical: float | None, history: Sequence[str]) -> tuple[str, str]:
+def rounding(residual: float) -> tuple[str, str]:
+    """Return that round-off keeps the residual at a share ``residual`` of the load [1], and which tolerance that allows."""
+    larger = 10.0 ** np.ceil(np.log10(10.0 * residual))
+    return (
+        f"The body is so stiff for its load that rounding keeps the residual at {residual:.1g} of the load.",
+        f"Give a solver.relative_tolerance of at least {larger:.0g}.",
+    )
+
+
+def explanation(
+    problem: Problem, x: np.ndarray, share: float, critical: float | None, history: Sequence[str]
+) -> tuple[str, str]:
     """Return why the body has no equilibrium under the whole load, as far as can be told, and what to change.
 
     Parameters
     ----------
     problem : Problem
         The problem under the whole load.
+    x : (n_nodes, 3) array [mm]
+        Last stable shape.
     share : float
-        Share of the load that the last stable shape carries [1].
+        Share of the load that this shape carries [1].
     critical : float or None
         Share of the load at which the body buckles [1], if it is known.
     history : sequence of str
         Lines about the attempts, oldest first.
     """
-    reached = f"{percent(share)} of the load"
-    if (nu := largest_poisson_ratio(problem.body)) > MAX_POISSON_RATIO:
-        return f"Poisson's ratio of {nu:.6g} is too close to 0.5.", f"Give at most {MAX_POISSON_RATIO}."
+    cause, remedy = _cause(problem, x, share, critical, history)
+    if (nu := largest_poisson_ratio(problem.body)) <= MAX_POISSON_RATIO:
+        return cause, remedy
+    # round-off in the pressure spoils stability too: with such a ratio a load at which the body buckles is only likely
+    also = f" {cause}" if problem.inverse else ""
+    if critical is not None:
+        also = f" The body may also buckle, under about {percent(critical)} of the {load_words(problem)}."
+    return f"Poisson's ratio of {nu:.6g} is too close to 0.5.{also}", f"Give at most {MAX_POISSON_RATIO}."
+
+
+def _cause(
+    problem: Problem, x: np.ndarray, share: float, critical: float | None, history: Sequence[str]
+) -> tuple[str, str]:
+    load = load_words(problem)
+    reached = f"{percent(share)} of the {load}"
     if problem.inverse:
         return (
             f"Beyond {reached} no unloaded shape was found that sags into the given one: the tissue is too soft for its weight.",
             "Give stiffer tissue, or check the geometry for folds and thin parts.",
         )
     if critical is not None or any("unstable equilibrium" in line for line in history):
-        at = f"about {percent(critical)} of the load" if critical is not None else "the load"
+        at = f"beyond {reached}" if critical is None else f"under about {percent(critical)} of the {load}"
+        beyond = "" if critical is None else " beyond"
+        if _is_pulled(problem, x):
+            return (
+                f"The body, which is stretched, loses its stability {at}, and no stable shape was found{beyond}.",
+                f"Stiffen the tissue, or reduce the {load}.",
+            )
         return (
-            f"The body buckles under {at}, and no stable shape was found beyond.",
-            "Stiffen, thicken or support it, or reduce the load.",
+            f"The body buckles {at}, and no stable shape was found{beyond}.",
+            f"Stiffen, thicken or support it, or reduce the {load}.",
         )
     if inverted := [line for line in history if "inverted element" in line]:
         where = inverted[-1].rsplit(": ", 1)[-1]
@@ -81,8 +117,19 @@ def explanation(problem: Problem, share: float, critical: float | None, history:
         )
     return (
         f"A stable shape was found under at most {reached}." if share else "No stable shape was found.",
-        "Stiffen the tissue, reduce the load, or check the geometry for folds and thin parts.",
+        f"Stiffen the tissue, reduce the {load}, or check the geometry for folds and thin parts.",
     )
+
+
+def load_words(problem: Problem) -> str:
+    """Return what loads the body: "load", or "prescribed displacement" where there is neither gravity nor pressure."""
+    return "load" if problem.full.any() or problem.body.pressure is not None else "prescribed displacement"
+
+
+def _is_pulled(problem: Problem, x: np.ndarray) -> bool:
+    """Return whether the mean stress of the tissue is a tension: the virial of its inner forces is positive."""
+    forces = problem.body.residual(problem.X, x, np.zeros(3))
+    return float(np.sum(forces * x)) > 0.0
 
 
 def percent(share: float) -> str:

@@ -33,6 +33,12 @@ class NewtonReport:
         if self.tell is not None:
             self.tell(f"iteration {self.iterations}, residual {norm:.1e} mN/mm")
 
+    def append(self, other: NewtonReport, what: str) -> None:
+        """Count the iterations and steps of another attempt too, which ``what`` describes."""
+        self.iterations, self.load_steps = self.iterations + other.iterations, self.load_steps + other.load_steps
+        self.history += [what, *other.history]
+        self.norms += other.norms
+
 
 # in the first FREE_STEPS iterations the norm of the residual may reach GROWTH times its first value; later it must halve
 # within PATIENCE iterations, because smaller load steps are cheaper than many iterations

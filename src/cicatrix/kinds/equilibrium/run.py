@@ -72,7 +72,7 @@ class EquilibriumRun(Simulation[EquilibriumState]):
             words = [str(error), *doubts_of(self.given)]
             if error.share > 0.0:  # recorded by the driver, although the integration ends here
                 yield EquilibriumState(error.positions, NewtonReport(), 0, error.share)
-                words.append(f"The last stable shape, under {percent(error.share)} of the load, is in fields.")
+                words.append(f"The last stable shape, under {percent(error.share)} of the {error.load}, is in fields.")
             raise ConvergenceError(" ".join(words), error.history) from error
         self.notes += [*_how(self.case, self.context.ranks), *state.report.history]
         yield state
