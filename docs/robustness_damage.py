@@ -10,6 +10,7 @@ import numpy as np
 
 NUMBER = re.compile(rb"(?<![\w.])[+-]?\d+(\.\d+)?([eE][+-]?\d+)?")
 WORDS = (b"nan", b"inf", b"-inf", b"1e999", b"1e308", b"-1e308", b"9" * 400, b"", b"x", b"1_0", b"0x10", b"--3", b"1,5")
+NUMBERS = (b"1e308", b"-1e308")  # those of them that are finite numbers
 HEAD = 600  # bytes of a binary file in which numbers are written as text, if any
 ENDINGS = (".txt", ".npy", ".nii.gz", ".vtu", ".toml", ".dcm", ".zip", ".json", ".msh", ".mha")
 
@@ -78,7 +79,8 @@ def number(content: bytes, rng: np.random.Generator) -> Damage:
         return flipped(content, rng)
     place, word = found[int(rng.integers(len(found)))], WORDS[int(rng.integers(len(WORDS)))]
     out = content[: place.start()] + word + content[place.end() :]
-    return Damage(out, f"number at byte {place.start()} replaced by {word[:12]!r}", 1)
+    n_changed = int(word in NUMBERS)  # one that is no number to every reader may not become another value
+    return Damage(out, f"number at byte {place.start()} replaced by {word[:12]!r}", n_changed)
 
 
 def renamed(content: bytes, rng: np.random.Generator) -> Damage:
