@@ -169,7 +169,22 @@ SOLID_FAULTS = {
         "[healing]\npitch_um = 100\n",
         "healing.pitch_um puts 8.3e+07 sites over the cavity, and 3e+07 fit into memory: take at least 150; got 100",
     ),
+    "pitch of a hair's thousandth": (
+        # more than a lattice can number; the box around the cavity alone, 24 mm and a margin, is 2.67e4 pitches wide
+        "[healing]\npitch_um = 1\n",
+        "healing.pitch_um puts 1.9e+13 sites over the cavity, and 3e+07 fit into memory: take at least 90; got 1",
+    ),
 }
+
+
+def test_a_lattice_of_a_section_fits_into_memory(write):
+    """Pitches of 1 um across a cavity of 24 mm are at least 2.4e4^2 = 5.8e8 sites."""
+    section = 'kind = "lumpectomy"\n[image]\nphantom = "half-ellipsoid"\n[healing]\n'
+    (fault,) = check_case(write(section + "pitch_um = 1\n"))
+    assert fault.startswith("healing.pitch_um puts ")
+    assert fault.endswith(" sites over the cavity, and 2e+08 fit into memory: take at least 5; got 1")
+    assert check_case(write(section + "pitch_um = 1e-300\n")) == ["healing.pitch_um must be at least 0.1; got 1e-300"]
+    assert check_case(write(section + "pitch_um = 5\n")) == []
 
 
 @pytest.mark.parametrize("name", SOLID_FAULTS)

@@ -101,10 +101,9 @@ def _lattice(case: LumpectomyCase, model: BreastModel, X: np.ndarray) -> tuple[L
     space, pitch_um = model.intact.discretization.space, case.healing.pitch_um
     around = X[space.geometric_nodes[model.cavity]].reshape(-1, 3)[:, : space.n_axes]
     box = box_around(around, case.rules(), pitch_um)
-    lattice = Lattice.covering(box[0], box[1], mm_from_um(pitch_um))
-    if reason := too_many(lattice, pitch_um):
+    if reason := too_many(box, pitch_um):
         raise InputError(f"healing.pitch_um {reason}.")
-    return lattice, box
+    return Lattice.covering(box[0], box[1], mm_from_um(pitch_um)), box
 
 
 def _places(lattice: Lattice) -> np.ndarray:

@@ -29,8 +29,7 @@ from ...cases.bounds import (
 from ...cases.continuum import AnySensing, LogisticTable, ParametersTable, TimeTolerance, check_continuum
 from ...cases.table import Case, Table
 from ...core.errors import InputError
-from ...core.units import days_from_hours, mm_from_um
-from ...geometry.hexgrid import Lattice
+from ...core.units import days_from_hours
 from ...geometry.volume import AXES
 from ...healing.rates import (
     HOURS_PER_STEP,
@@ -196,11 +195,13 @@ class HealingTable(Table):
     deposition: Literal["unloaded", "loaded"] = "unloaded"  # configuration in which new tissue is free of stress
     deposition_prestretch: Positive = 1.0  # in-plane stretch of new tissue as it is deposited; for "loaded"
     contraction_kPa: NotNegative = 0.0  # active tension of new tissue, equal in all directions
-    pitch_um: Positive = 10.0  # distance between neighbouring sites of the lattice
+    pitch_um: Annotated[Positive, bounds(least=0.1)] = 10.0  # distance between neighbouring sites of the lattice
     hours_per_step: Positive = HOURS_PER_STEP  # cell cycle: duration of a step at a pitch of 10 um
     p_edge: Probability = P_EDGE  # probability per cell cycle that a cell at the edge divides into a free site
     p_layer: Probability = P_LAYER  # probability per cell cycle that a cell of the active layer divides
-    layer_um: Positive = LAYER_UM  # thickness of the active layer of dividing cells along the wound's edge
+    layer_um: Annotated[Positive, bounds(most=1e5)] = (
+        LAYER_UM  # thickness of the active layer of dividing cells along the wound's edge
+    )
     contact_inhibition: Annotated[Integer, bounds(least=0, most=6)] = 1  # free neighbours a dividing edge cell needs
     motility_substeps: Annotated[Integer, bounds(least=0, most=64)] = MOTILITY_SUBSTEPS  # diffusion steps per cycle
     redistribution: Literal["route", "level-set"] = "route"  # daughters follow shortest paths, or a level set
@@ -338,12 +339,10 @@ class LumpectomyCase(Case):
     @model_validator(mode="after")
     def _sites_fit_into_memory(self) -> LumpectomyCase:
         """Refuse a pitch at which the lattice over the undeformed ball of the resection would not fit into memory."""
-        if self.dimension == 2:
-            return self
-        pitch_um, ball = self.healing.pitch_um, self.resection.radius_mm * np.array([[-1.0] * 3, [1.0] * 3])
+        pitch_um = self.healing.pitch_um
+        ball = self.resection.radius_mm * np.array([[-1.0] * self.dimension, [1.0] * self.dimension])
         try:
-            box = box_around(ball, self.rules(), pitch_um)
-            reason = too_many(Lattice.covering(box[0], box[1], mm_from_um(pitch_um)), pitch_um)
+            reason = too_many(box_around(ball, self.rules(), pitch_um), pitch_um)
         except InputError:
             return self  # the run reports this error, with the reason
         if reason:

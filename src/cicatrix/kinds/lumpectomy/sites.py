@@ -8,8 +8,9 @@ from ...core.units import mm_from_um
 from ...geometry.hexgrid import Lattice
 from ...healing.rules import AutomatonRules
 
-MAX_SOLID_SITES = 30_000_000  # largest lattice of a solid; its sites alone take about 1.5 GB
-FEWER = 0.9  # fraction of MAX_SOLID_SITES that a proposed coarser pitch fills
+# largest lattice of a section and of a solid; the sites of a solid alone take about 1.5 GB
+MAX_SITES = {2: 200_000_000, 3: 30_000_000}
+FEWER = 0.9  # fraction of MAX_SITES that a proposed coarser pitch fills
 
 
 def box_around(points: np.ndarray, rules: AutomatonRules, pitch_um: float) -> np.ndarray:
@@ -18,12 +19,19 @@ def box_around(points: np.ndarray, rules: AutomatonRules, pitch_um: float) -> np
     return np.stack([points.min(axis=0) - margin, points.max(axis=0) + margin])
 
 
-def too_many(lattice: Lattice, pitch_um: float) -> str:
-    """Return an error if a solid's lattice does not fit into memory, to follow the key ``healing.pitch_um``; empty if it fits."""
-    if lattice.ndim == 2 or lattice.n_sites <= MAX_SOLID_SITES:
+def too_many(box: np.ndarray, pitch_um: float) -> str:
+    """Return why a lattice over a box does not fit into memory, to follow the key ``healing.pitch_um``; empty if it fits.
+
+    The box has a lower and an upper corner (2, n_axes) [mm].
+    """
+    n_axes, pitch_mm = box.shape[1], mm_from_um(pitch_um)
+    sites = float(np.prod((box[1] - box[0]) / pitch_mm))  # at least; a lattice too large for this count is not laid out
+    if sites <= MAX_SITES[n_axes]:
+        sites = Lattice.covering(box[0], box[1], pitch_mm).n_sites
+    if sites <= MAX_SITES[n_axes]:
         return ""
-    fits = pitch_um * np.cbrt(lattice.n_sites / (FEWER * MAX_SOLID_SITES))
+    fits = pitch_um * (sites / (FEWER * MAX_SITES[n_axes])) ** (1.0 / n_axes)
     return (
-        f"puts {lattice.n_sites:.2g} sites over the cavity, and {MAX_SOLID_SITES:.1g} fit into memory: "
+        f"puts {sites:.2g} sites over the cavity, and {MAX_SITES[n_axes]:.1g} fit into memory: "
         f"take at least {5 * np.ceil(fits / 5):.0f}; got {pitch_um:g}"
     )
