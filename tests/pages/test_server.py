@@ -101,6 +101,7 @@ def test_the_policy_is_a_header_of_every_answer(server):
         (b'{"a":' * 16_000 + b"1" + b"}" * 16_000, 400, "at most 100 lists"),
         (b'{"centre_mm": [NaN, 0, 0]}', 400, "all numbers are finite"),
         (b'{"centre_mm": [Infinity, 0, 0]}', 400, "all numbers are finite"),
+        (b'{"centre_mm": [20, 22, 24], "centre_mm": [0, 0, 0]}', 400, "no name stands twice"),
         (b'{"centre_mm": [1e999, 0, 0]}', 422, "finite number"),
         (b'{"centre_mm": [1e308, 0, 0]}', 422, "at most 10000 mm"),
         (plan(radius_mm=1e308), 422, "radius_mm must be at most 1000"),
@@ -115,7 +116,7 @@ def test_the_policy_is_a_header_of_every_answer(server):
         (b"null", 422, "must be a table"),
         (b'"text"', 422, "must be a table"),
     ],
-    ids=range(18),
+    ids=range(19),
 )
 def test_a_body_that_is_no_plan_is_refused_in_a_sentence(server, body, status, says):
     found, headers, words = asked(server, body)
@@ -138,9 +139,10 @@ def test_a_body_that_is_no_plan_is_refused_in_a_sentence(server, body, status, s
         ({"Content_Length": "5\r\nContent-Length: 6"}, 411, "once"),
         ({"Content_Length": "5", "Content_Type": "text/html"}, 415, "must be JSON"),
         ({"Content_Length": "5", "Host": "evil.example"}, 403, "only the browser tab"),
+        ({"Content_Length": "5\r\nHost: evil.example"}, 403, "only the browser tab"),
         ({"Content_Length": "5", "X": "y" * 70_000}, 431, "cannot be read"),
     ],
-    ids=range(13),
+    ids=range(14),
 )
 def test_a_head_that_is_none_is_refused_in_a_sentence(server, headers, status, says):
     found, _, words = sent(server, head(server, **headers), b"5\r\n{}\r\n")

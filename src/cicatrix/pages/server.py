@@ -179,7 +179,8 @@ class Handler(BaseHTTPRequestHandler):
             raise RefusedError(HTTPStatus.BAD_REQUEST, "the request names no address that can be read") from None
         origin, site = self.headers.get("Origin"), self.headers.get("Sec-Fetch-Site", "none")
         known = {f"http://{host}" for host in self.server.hosts}
-        is_ours = self.headers.get("Host") in self.server.hosts and (origin is None or origin in known)
+        (host, *others) = self.headers.get_all("Host", [""])
+        is_ours = host in self.server.hosts and not others and (origin is None or origin in known)
         if not (
             is_ours
             and site in ("none", "same-origin")
@@ -198,10 +199,11 @@ class Handler(BaseHTTPRequestHandler):
         if body.count(b"[") + body.count(b"{") > MAX_TABLES:
             raise RefusedError(HTTPStatus.BAD_REQUEST, f"a request must hold at most {MAX_TABLES} lists and tables")
         try:
-            return json.loads(body or b"{}", parse_constant=_no_number)
+            return json.loads(body or b"{}", parse_constant=_no_number, object_pairs_hook=_without_doubles)
         except ValueError:
             raise RefusedError(
-                HTTPStatus.BAD_REQUEST, "a request must be JSON, in which all numbers are finite"
+                HTTPStatus.BAD_REQUEST,
+                "a request must be JSON, in which all numbers are finite and no name stands twice",
             ) from None
 
     def _body(self) -> bytes:
@@ -280,6 +282,13 @@ def _turn_away(connection: socket.socket) -> None:
 
 def _no_number(word: str) -> Any:
     raise ValueError(word)
+
+
+def _without_doubles(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    table = dict(pairs)
+    if len(table) < len(pairs):
+        raise ValueError("a name stands twice")
+    return table
 
 
 def _report(error: BaseException) -> None:
