@@ -79,6 +79,15 @@ def test_a_position_without_a_shape_before_surgery_is_left_out_wholly(case, monk
     assert results.outcome["volume_change_percent"].note.startswith("upright, healed")
 
 
+def test_if_no_position_that_is_asked_for_has_a_shape_the_healing_one_is_reported(case, monkeypatch, tmp_path):
+    failing(monkeypatch, lambda body, gravity: gravity[1] > 0)
+    asked = case.outcome.model_copy(update={"positions": ("supine",)})
+    results = cicatrix.simulate(case.model_copy(update={"outcome": asked}), out=tmp_path / "run")
+    assert results.outcome["volume_change_percent"].note.startswith("upright, healed")
+    assert "upright.healed.volume_change_percent" in results.outcome
+    assert any(note.startswith("Left out: Before surgery, supine") for note in notes_of(tmp_path / "run"))
+
+
 def test_the_healing_position_must_have_an_equilibrium(case, monkeypatch, tmp_path):
     failing(monkeypatch, lambda body, gravity: gravity[1] == 0.0)
     with pytest.raises(ConvergenceError, match=r"Before surgery, upright: It buckles\. Give stiffer tissue"):

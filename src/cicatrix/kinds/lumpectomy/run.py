@@ -322,15 +322,20 @@ class LumpectomyRun(Simulation[BreastState]):
         yield from self._shapes(end.state.tissue, end.analysis, healed)
 
     def outcome(self, end: End[BreastState]) -> dict[str, Quantity]:
-        """Return closure, and how the shape changed in every position at every visit."""
-        asked = self.case.outcome.positions
+        """Return closure, and how the shape changed in every position at every visit.
+
+        The position in which it heals is among them if no shape was found in those asked for.
+        """
+        asked = list(self.case.outcome.positions)
+        if not any((position, HEALED) in end.analysis for position in asked):
+            asked.append(self.home)
         changes = {
             (position, moment): self.model.change(end.analysis[position, BEFORE], x)
             for (position, moment), x in end.analysis.items()
             if moment != BEFORE and position in asked
         }
         healed = [position for position, moment in changes if moment == HEALED]
-        main = self.home if self.home in asked or not healed else healed[0]
+        main = self.home if self.home in asked else healed[0]
         closure = closure_numbers(self.cycle, end.state.tissue, list(end.state.rows))
         return closure | outcome_numbers(changes, (main, HEALED))
 
