@@ -244,6 +244,8 @@ def test_every_fault_is_reported(write):
     ("text", "words"),
     [
         ("kind = = 1\nx = 1", "is not valid TOML: .*line 1, column 8"),
+        ("[a.b]\n[a.b]", r"is not valid TOML: Cannot declare \[a\.b\] twice \(at line 2"),
+        ("\u00a0kind = 1", r"; it has a space that only looks like one, U\+00A0: type it anew"),
         (
             "",
             f"kind is missing; a case file starts with kind = {KINDS}",

@@ -22,6 +22,7 @@ HINTS = (  # pattern of a line that TOML refuses, and what would be right
     (r'"[^"]*\\', BACKSLASH),
     (r"=\s*[+-]?[0-9]+,[0-9]+\s*(#|$)", "a number has a decimal point, not a comma"),
     (r"=\s*(True|False)\b", "truth values are true and false"),
+    ("[\u00a0\u2007\u202f\u200b\ufeff]", "it has a space that only looks like one, U+{:04X}: type it anew"),
     ("[\u201c\u201d\u201e\u2018\u2019]", "quotes must be straight: \" or '"),
 )
 
@@ -104,7 +105,8 @@ def _read_toml(path: Path) -> dict[str, Any]:
     try:
         return _parsed(text)
     except tomllib.TOMLDecodeError as error:
-        raise InputError(f"is not valid TOML: {error}{_hint(text, str(error))}") from None
+        words = re.sub(r"\('[^()]*\)", _header, str(error))  # ('a', 'b') is how it writes the table [a.b]
+        raise InputError(f"is not valid TOML: {words}{_hint(text, words)}") from None
 
 
 def _parsed(text: str) -> dict[str, Any]:
@@ -129,8 +131,13 @@ def _toml_value(text: str, setting: str) -> Any:
     return parsed["value"] if len(parsed) == 1 else text
 
 
+def _header(names: re.Match[str]) -> str:
+    return f"[{'.'.join(re.findall('[^(), ]+', names[0].replace(chr(39), '')))}]"
+
+
 def _hint(text: str, message: str) -> str:
     """Return what is likely meant on the line that an error names."""
     place = re.search(r"line ([0-9]+)", message)
     line = text.split("\n")[int(place[1]) - 1] if place else ""
-    return next((f"; {words}" for pattern, words in HINTS if re.search(pattern, line)), "")
+    found = ((re.search(pattern, line), words) for pattern, words in HINTS)
+    return next((f"; {words.format(ord(match[0][0]))}" for match, words in found if match), "")

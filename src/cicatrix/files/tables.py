@@ -23,6 +23,7 @@ from .text import tolerant_text_of
 SEPARATORS = ("\t", ";", ",")  # the rarer one is in a name, the earlier
 SPREADSHEET_ERRORS = ("#N/A", "#DIV/0!", "#VALUE!", "#REF!", "#NAME?", "#NUM!", "#NULL!")  # cells, not comments
 MISSING = ("", "na", "n/a", "#n/a", "nan")
+NUMERAL = re.compile(r"\W{0,2}[0-9]")  # beginning of a number, right or wrong; a unit such as mm2 has none
 MOST_TITLES = 5  # rows above the names
 DIRECTIVE = re.compile(r'"?sep=([\t;,])"?')  # first line by which a spreadsheet names the separator
 
@@ -72,6 +73,7 @@ class CsvTable:
         """
         self.require(names)
         columns = {name: self.texts(name) for name in names}
+        self._check_first([texts[0] for texts in columns.values()])
         written = numerals_of([text for texts in columns.values() for text in texts])
 
         def number(row: int, name: str, text: str) -> float:
@@ -84,6 +86,13 @@ class CsvTable:
             name: np.array([number(row, name, text) for row, text in enumerate(texts)], float)
             for name, texts in columns.items()
         }
+
+    def _check_first(self, cells: Sequence[str]) -> None:
+        """Refuse a row of units below the names."""
+        if any(cells) and not any(NUMERAL.match(cell) or cell.lower() in MISSING[1:] for cell in cells):
+            said = ", ".join(filter(None, cells))
+            words = f"holds no number but {said}: if these are units, delete the row or start it with #"
+            raise InputError(f"{self.path}: row {self.lines[0]} {words}")
 
 
 def read_table(path: Path, names: Sequence[str] = (), spellings: Sequence[str] = ()) -> CsvTable:
@@ -114,7 +123,7 @@ def read_table(path: Path, names: Sequence[str] = (), spellings: Sequence[str] =
         such = f", {', '.join(names)}" if names else ""
         raise InputError(f"{path} is empty: it must start with a row of column names{such}")
     head, *rows = records[_titles(records, known) :]
-    _check_names(path, *head)
+    _check_names(path, *head, known)
     if not rows:
         raise InputError(f"{path} has no rows below its column names")
     cells = tuple(_fitted(path, line, row, len(head[1])) for line, row in rows)
@@ -127,7 +136,7 @@ def missing_column(name: str, there: Sequence[str]) -> str:
     plain = {re.sub(r"\W+", "_", other.lower()).strip("_"): other for other in named}
     near = difflib.get_close_matches(name.lower(), plain, n=1, cutoff=0.75)
     hint = f' (is it "{plain[near[0]]}"?)' if near else ""
-    if len(named) == 1 and re.search(r"\s", named[0]):
+    if len(named) == 1 and (name in named[0] or re.search(r"\s", named[0])):
         hint = " (columns are separated by commas, semicolons or tabs)"
     return f"column {name} is missing{hint}; there are {', '.join(named)}"
 
@@ -152,7 +161,9 @@ def _records(path: Path, text: str, separator: str) -> Iterator[tuple[int, list[
                 yield start, [cell.strip() for cell in cells]
             start = reader.line_num + 1
     except csv.Error as error:
-        raise InputError(f'{path}: row {start} cannot be split into cells: a " is not closed ({error})') from None
+        long = f"a cell has more than {csv.field_size_limit()} characters" if "field limit" in str(error) else ""
+        words = long or f'a " is not closed, or not alone in its cell ({error})'
+        raise InputError(f"{path}: row {start} cannot be split into cells: {words}") from None
 
 
 def _separator(text: str, known: set[str]) -> str:
@@ -167,20 +178,17 @@ def _separator(text: str, known: set[str]) -> str:
 
 
 def _titles(records: Sequence[tuple[int, list[str]]], known: set[str]) -> int:
-    """Return how many rows of a single cell are above the row of names; 0 if no row has a known name."""
-    for number, (_, cells) in enumerate(records[: MOST_TITLES + 1]):
-        if known & {cell.lower() for cell in cells}:
-            return number
-        if sum(map(bool, cells)) > 1:
-            return 0
-    return 0
+    """Return how many rows are above the row of names, the first with a known name; 0 if there is none."""
+    near = enumerate(records[: MOST_TITLES + 1])
+    return next((number for number, (_, cells) in near if known & {cell.lower() for cell in cells}), 0)
 
 
-def _check_names(path: Path, line: int, names: Sequence[str]) -> None:
+def _check_names(path: Path, line: int, names: Sequence[str], known: set[str]) -> None:
     said = [name for name in names if name]
     if all(PLAIN.fullmatch(name) for name in said):
         raise InputError(f'{path}: row {line} must hold the column names; got "{said[0]}" (a # makes a line a comment)')
-    twice = [name for name in said if said.count(name) > 1]
+    alike = [name.lower() if name.lower() in known else name for name in said]  # t and T may be two columns of others
+    twice = [name for name, same in zip(said, alike) if alike.count(same) > 1]
     if twice:
         raise InputError(f"{path}: column {twice[0]} is there twice: delete or rename one of the two")
 

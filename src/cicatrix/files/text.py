@@ -28,6 +28,8 @@ ZEROS = {  # which of the first four bytes are zero, as the first characters of 
     (False, True, False, True): "utf-16-le",
     (True, False, True, False): "utf-16-be",
 }
+OFFICE = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1")  # how .xlsx, .ods and .docx begin, and .xls and .doc
+END_OF_DOS = "\x1a"  # that old programs write after a text
 CONTROL = re.compile(r"[\x00-\x08\x0b\x0e-\x1f]")  # all but tab, line feed, form feed and carriage return
 
 
@@ -39,7 +41,7 @@ def text_of(path: Path, largest: int = LARGEST) -> str:
     InputError
         If it is not a regular file of at most ``largest`` bytes, is not text, or is in another encoding.
     """
-    return _unicode(path, bytes_of(path, largest))
+    return _unicode(path, _bytes(path, largest))
 
 
 def tolerant_text_of(path: Path, largest: int = LARGEST) -> tuple[str, list[str]]:
@@ -52,7 +54,7 @@ def tolerant_text_of(path: Path, largest: int = LARGEST) -> tuple[str, list[str]
     InputError
         As :func:`text_of`, but for another encoding only if Windows-1252 cannot be it either.
     """
-    data = bytes_of(path, largest)
+    data = _bytes(path, largest)
     if _encoding(data) == ("utf-8", 0) and (line := _first_odd_line(data)):
         try:
             text = _checked(path, data.decode(LEGACY))
@@ -78,6 +80,15 @@ def sha256_of(path: Path) -> str:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}") from None
+
+
+def _bytes(path: Path, largest: int) -> bytes:
+    data = bytes_of(path, largest)
+    if data.startswith(OFFICE):
+        raise InputError(
+            f"{path} is a file of an office program, not text: save it from there as CSV or plain text, in UTF-8"
+        )
+    return data
 
 
 def _encoding(data: bytes) -> tuple[str, int]:
@@ -112,7 +123,7 @@ def _first_odd_line(data: bytes) -> int:
 
 def _checked(path: Path, text: str) -> str:
     """Return a text with its lines ended by a line feed; refuse characters that no text has."""
-    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    text = text.replace("\r\n", "\n").replace("\r", "\n").removesuffix(END_OF_DOS)
     if found := CONTROL.search(text):
         where = f"line {text.count(chr(10), 0, found.start()) + 1}"
         raise InputError(f"{path} is not a text file: {where} has the control character U+{ord(found[0]):04X}")
