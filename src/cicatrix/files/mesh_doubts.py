@@ -73,4 +73,4 @@ def _likely_unit(values: np.ndarray, units: Mapping[str, float], likely: tuple[f
 
 def _span(values: np.ndarray) -> str:
     low, high = values.min(), values.max()
-    return f"{low:.5g}" if low == high else f"{low:.5g} to {high:.5g}"
+    return f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
