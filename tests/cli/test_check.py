@@ -270,6 +270,10 @@ def test_measured_data_are_checked_as_a_fit_reads_them(tmp_path, capsys):
     assert main(["check", str(case), str(data)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert str(data) in line
+    assert line.count(str(case)) == 1
+    case.write_text(law)
+    assert main(["check", str(case), str(data)]) == 2
+    assert capsys.readouterr().err.count(str(case)) == 1
     case.write_text(EQUILIBRIUM)
     write_mesh(tmp_path / "body.vtu")
     assert main(["check", str(case), str(data)]) == 2

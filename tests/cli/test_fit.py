@@ -81,6 +81,7 @@ def test_wrong_wish_is_one_sentence(files, capsys, free, words):
         ("time_h,lambda_x\n0,1\n", "data.csv: column sigma_x_kPa is missing; there are time_h, lambda_x"),
         ("time_h,lambda_x,sigma_x_kPa\n0,1,\n", "no row has a value for each of time_h, lambda_x, sigma_x_kPa"),
         ("time_h,lambda_x,sigma_x_kPa\n0,1\n", "row 2 must have 3 columns"),
+        ("time_h,lambda_x,sigma_x_kPa\n0,1,0\n1,1.2,4e12\n", "sigma_x_kPa must be a stress in kPa; got 4e+12 in row 3"),
         ("", "data.csv is empty: it must start with a row of column names, time_h, lambda_x"),
     ],
 )

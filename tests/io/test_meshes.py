@@ -16,7 +16,7 @@ from cicatrix.files.mesh_doubts import doubts_of
 from cicatrix.files.mesh_formats import read_mesh
 from cicatrix.files.mesh_tissue import Tissue
 from cicatrix.files.meshes import ByGroup, read_body, read_wound
-from cicatrix.geometry.tetrahedra import boundary, far_origin, oriented, with_middles
+from cicatrix.geometry.tetrahedra import boundary, far_origin, oriented, volumes, with_middles
 
 TISSUE = {"youngs_modulus_kPa": 10.0, "poisson_ratio": 0.45, "density_kg_m3": 1000.0}
 FAT = {"FAT": Tissue(10.0, 0.45, 1000.0)}
@@ -160,6 +160,27 @@ def test_pieces_are_joined(tmp_path):
     check_joined(body, 2)
     by_group = ByGroup(materials={"piece 2": Tissue(3.0, None, None)})
     assert sorted(read_body(tmp_path / "a.vtu", "mm", None, by_group).E) == 9 * [3.0] + 9 * [10.0]
+
+
+def test_pieces_are_joined_at_nodes_that_rounding_tells_apart(tmp_path):
+    half = CELLS[:9], CELLS[9:]
+    for number, cells in enumerate(half):
+        used, local = np.unique(cells, return_inverse=True)
+        name = f"{number}.vtu"
+        mesh_of(POINTS[used] + 1e-8 * number, local.reshape(-1, 4), FIXED[used]).write(tmp_path / name)
+    sources = '<Piece Source="0.vtu"/><Piece Source="1.vtu"/>'
+    grid = f'<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid>{sources}</PUnstructuredGrid></VTKFile>'
+    (tmp_path / "a.pvtu").write_text(grid)
+    body = read_body(tmp_path / "a.pvtu", "mm")
+    assert len(body.points) == len(POINTS)
+    assert volumes(body.points, body.tetrahedra).sum() == pytest.approx(300.0)
+
+
+def test_a_set_beyond_the_file_and_a_body_without_a_free_node_are_told(tmp_path):
+    (tmp_path / "a.inp").write_text(abaqus() + "\n*NSET, NSET=REST\n101, 98765\n")
+    body = read_body(tmp_path / "a.inp", "mm", by_group=ByGroup(fixed=("FAT",), materials=FAT))
+    assert 'The set "REST" names 1 nodes that the file does not have, such as 98765; they are left out.' in body.notes
+    assert any(note.startswith("All nodes are fixed") for note in body.notes)
 
 
 def test_pieces_in_files_of_their_own(tmp_path):
@@ -458,9 +479,11 @@ def test_faces_beside_a_group_are_told(tmp_path):
     )
     tissue = {"volume 2": FAT["FAT"]}
     body = read_body(tmp_path / "a.msh", "mm", None, ByGroup(("SKIN",), pressurised=("SKIN",), materials=tissue))
-    assert body.notes == (
-        "2 boundary faces outside the groups of body.pressurised have all corners in them and count too.",
+    assert (
+        body.notes[0]
+        == "2 boundary faces outside the groups of body.pressurised have all corners in them and count too."
     )
+    assert body.notes[1].startswith("All nodes are fixed")
     (tmp_path / "b.msh").write_text(gmsh_2())
     by_group = ByGroup(fixed=("CHEST",), pressurised=("CHEST",), materials=FAT)
     assert read_body(tmp_path / "b.msh", "mm", None, by_group).notes == ()
@@ -558,6 +581,7 @@ def hexahedra():
             "it is a file of FEBio, which is not read; export",
         ),
         ("a.vtu", b"", "it is empty"),
+        ("a.vtu.gz", b"\x1f\x8b\x08\x00", "it is compressed by gzip; unpack it first"),
         ("a.vtu", b"this is no mesh", "its XML is damaged"),
         ("a.vtu", b'<VTKFile type="PolyData"><PolyData/></VTKFile>', "it holds PolyData; .* is an UnstructuredGrid"),
         ("a.vtu", b'<VTKFile type="UnstructuredGrid"><UnstructuredGrid/></VTKFile>', "the grid has no <Piece>"),
@@ -605,6 +629,7 @@ def test_surfaces_and_other_cells_are_told(tmp_path):
     [
         (np.repeat(FIXED[:, None], 3, axis=1), "must be one number for each node, 0 or 1; got 3 for each"),
         (255 * FIXED, "must be 0 or 1; got 255 at node 0"),
+        (np.where(FIXED > 0.0, 1.0, np.nan), "have no value at 12 nodes, the first is node 4: give each node 0 or 1"),
     ],
 )
 def test_marks_that_are_no_marks_are_told(values, sentence, tmp_path):

@@ -155,6 +155,15 @@ def test_nothing_fitted_is_refused():
             refuse_nothing_fitted(residual, columns["sigma_x_kPa"], ["mu is at its end"])
 
 
+def test_stresses_that_are_all_zero_fit_nothing():
+    with pytest.raises(InputError, match=r"none of the data; measured stresses reach 0 kPa"):
+        refuse_nothing_fitted(np.full((5, 1), 0.1), np.zeros((5, 1)), [])
+
+
+def test_equal_stresses_have_no_variation_to_explain():
+    assert np.isnan(r_squared(np.full(3, 1e-16), np.array([0.6, 0.6, 0.6 + 1e-16])))
+
+
 def test_a_nearly_constant_stress_is_fitted_by_its_mean():
     """A stress that relaxes a little at constant stretch: an elastic law explains none of the variation, but the stress."""
     columns = {"lambda_x": 1.2 + 1e-3 * (np.arange(9) % 2), "sigma_x_kPa": np.linspace(2.1, 1.9, 9)}

@@ -29,4 +29,4 @@ def _with_data(args: argparse.Namespace) -> tuple[list[str], list[str]]:
     try:
         return [], list(measured_for(args.case, args.set, args.data)[1].notes)
     except InputError as error:
-        return [str(error)], []
+        return [str(error).removeprefix(f"{args.case}: ")], []

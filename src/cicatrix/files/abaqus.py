@@ -260,6 +260,11 @@ def _mesh(found: _Found) -> meshio.Mesh:
         ]
         for name, members in found.element_sets.items()
     }
+    for sets, known, what in ((found.node_sets, place, "nodes"), (found.element_sets, where, "elements")):
+        for name, members in sets.items():
+            if absent := [number for number in members if number not in known]:
+                words = f"{len(absent)} {what} that the file does not have, such as {absent[0]}"
+                found.notes.append(f'The set "{found.written[name]}" names {words}; they are left out.')
     cells = [(kind, np.array(rows[kind])) for kind in kinds]
     return meshio.Mesh(
         np.array(list(found.nodes.values())), cells, point_sets=at_nodes, cell_sets=in_cells, info=found.notes

@@ -54,7 +54,7 @@ def _of_stiffness(E: np.ndarray, nu: np.ndarray) -> Iterator[str]:
     stiff = nu[nu > ALMOST_INCOMPRESSIBLE]
     if stiff.size:
         yield (
-            f"Poisson's ratio is {_span(stiff)} in {stiff.size} tetrahedra: above {ALMOST_INCOMPRESSIBLE} the solver may find "
+            f"Poisson's ratio is {_span(stiff, 9)} in {stiff.size} tetrahedra: above {ALMOST_INCOMPRESSIBLE} the solver may find "
             "no equilibrium, and 0.495 gives nearly the same shape."
         )
 
@@ -71,6 +71,6 @@ def _likely_unit(values: np.ndarray, units: Mapping[str, float], likely: tuple[f
     return f"is it in {fitting[0]}?" if fitting else ""
 
 
-def _span(values: np.ndarray) -> str:
+def _span(values: np.ndarray, digits: int = 5) -> str:
     low, high = values.min(), values.max()
-    return f"{low:.6g}" if low == high else f"{low:.6g} to {high:.6g}"
+    return f"{low:.{digits}g}" if low == high else f"{low:.{digits}g} to {high:.{digits}g}"

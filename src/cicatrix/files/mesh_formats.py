@@ -22,6 +22,8 @@ SIGNS = {  # first bytes of formats that hold no mesh of tetrahedra, or that are
     b"<febio_spec": "it is a file of FEBio, which is not read; export the mesh from FEBio Studio as VTK",
     b"ISO-10303-21": "it is a geometry in STEP format without a mesh; mesh it with tetrahedra, in Gmsh for instance",
     b"\x89PNG": "it is a picture",
+    b"\x1f\x8b\x08": "it is compressed by gzip; unpack it first",
+    b"PK\x03\x04": "it is a ZIP archive; unpack it first",
 }
 PACKAGES = {"h5py": "h5py", "netCDF4": "netCDF4"}  # modules that meshio needs for some formats: package to install
 
@@ -52,7 +54,7 @@ def read_mesh(path: Path) -> meshio.Mesh:
 
 def _read(path: Path, head: bytes) -> meshio.Mesh:
     for sign, words in SIGNS.items():
-        if sign in head[:512]:
+        if sign in head[: 512 if len(sign) > 4 else len(sign)]:
             raise InputError(words)
     if not head.strip():
         raise InputError("it is empty")

@@ -29,6 +29,10 @@ def _marked(point_data: Mapping[str, np.ndarray], name: str, n: int) -> np.ndarr
             f"point data `{name}` must be one number for each node, 0 or 1; got {values.size // n} for each"
         )
     values = values.reshape(n)
+    if (missing := np.flatnonzero(values != values)).size:
+        raise InputError(
+            f"point data `{name}` have no value at {missing.size} nodes, the first is node {missing[0]}: give each node 0 or 1"
+        )
     wrong = np.flatnonzero(~np.isin(values, (0, 1)))
     if wrong.size:
         raise InputError(f"point data `{name}` must be 0 or 1; got {values[wrong[0]]:g} at node {wrong[0]}")

@@ -239,6 +239,8 @@ def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None, by_
         notes += more_faces(f"body.{name}", names, solid.groups, solid.tetrahedra)
     displacement = displacement_of(mesh, solid.is_fixed, solid.groups, by_group.displacement)
     is_fixed, displacement, more = followed(solid.is_fixed, solid.tetrahedra, displacement)
+    if is_fixed[solid.tetrahedra[:, :4]].all():
+        more.append("All nodes are fixed: nothing is left to be computed; body.fixed is for the supports alone.")
     E, nu, density = tissue_of(mesh, solid.kind, solid.groups, by_group.materials, elastic)
     return MeshedBody(
         *(solid.points, solid.tetrahedra, is_fixed, displacement, is_sliding, is_pressurised),

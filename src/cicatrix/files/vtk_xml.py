@@ -17,6 +17,9 @@ from xml.etree import ElementTree
 
 import meshio
 import numpy as np
+import scipy.sparse as sp
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from ..core.errors import InputError
 from .opening import bytes_of
@@ -34,6 +37,7 @@ TYPES = {
 }
 COMPRESSORS = {"vtkZLibDataCompressor": zlib.decompressobj, "vtkLZMADataCompressor": lzma.LZMADecompressor}
 MOST_NODES, MOST_COMPONENTS = 27, 16  # of a cell, of a value
+ROUNDING = 1e-7  # distance over the extent of the grid below which nodes of two pieces are one, as in single precision
 GHOST = "vtkGhostType"  # cell data whose first bit marks a copy of a cell that belongs to another piece
 
 
@@ -103,9 +107,7 @@ def _joined(pieces: list[Piece]) -> meshio.Mesh:
     """Join pieces at nodes of equal coordinates; each becomes a set of cells, ``piece 1`` and so on."""
     pieces = [_without_ghosts(piece) for piece in pieces]
     points = np.vstack([piece.points for piece in pieces])
-    _, first, number = np.unique(points, axis=0, return_index=True, return_inverse=True)
-    order = np.sort(first)  # of equal nodes the first stays
-    new = np.searchsorted(order, first)[number.ravel()]
+    order, new = _equal_nodes(points, np.repeat(np.arange(len(pieces)), [len(piece.points) for piece in pieces]))
     first_node = np.cumsum([0, *(len(piece.points) for piece in pieces)])
     first_entry = np.cumsum([0, *(piece.nodes.size for piece in pieces)])
     point_data = _together([piece.point_data for piece in pieces])
@@ -129,6 +131,21 @@ def _joined(pieces: list[Piece]) -> meshio.Mesh:
     blocks = [owner[whole.types == number] for number in dict.fromkeys(whole.types.tolist())]
     mesh.cell_sets = {f"piece {k + 1}": [np.flatnonzero(block == k) for block in blocks] for k in range(len(pieces))}
     return mesh
+
+
+def _equal_nodes(points: np.ndarray, owner: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the nodes that stay (k,), the first of those that are equal but for rounding, and which of them each node is (n,).
+
+    ``owner`` (n,) is the piece of each node; nodes of one piece are not equal.
+    """
+    extent = float(np.ptp(points, axis=0).max(initial=0.0)) if len(points) else 0.0
+    one, other = cKDTree(points).query_pairs(ROUNDING * extent, output_type="ndarray").T
+    apart = owner[one] != owner[other]
+    links = sp.coo_array((np.ones(apart.sum()), (one[apart], other[apart])), (len(points),) * 2)
+    _, number = connected_components(links, directed=False)
+    _, first = np.unique(number, return_index=True)
+    order = np.sort(first)
+    return order, np.searchsorted(order, first)[number]
 
 
 def _without_ghosts(piece: Piece) -> Piece:

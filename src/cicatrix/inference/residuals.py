@@ -19,7 +19,8 @@ PRELOAD = 0.05  # stress at rest over the largest stress that is said
 def r_squared(residual: np.ndarray, data: np.ndarray) -> float:
     """Return the fraction of the variance of the data (n, ...) about their columns' means that a fit explains, or NaN."""
     spread = float(np.sum((data - data.mean(axis=0)) ** 2))
-    return 1.0 - float(np.sum(residual**2)) / spread if spread > 0.0 else float("nan")
+    rounding = data.size * float(np.finfo(float).eps * np.abs(data).max()) ** 2
+    return 1.0 - float(np.sum(residual**2)) / spread if spread > rounding else float("nan")
 
 
 def refuse_nothing_fitted(residual: np.ndarray, data: np.ndarray, at_bounds: Sequence[str]) -> None:
@@ -32,13 +33,15 @@ def refuse_nothing_fitted(residual: np.ndarray, data: np.ndarray, at_bounds: Seq
         asks for the units. (Of a nearly constant stress a law may explain all but the variation.)
     """
     explained = r_squared(residual, data)
-    if not explained < 0.0 or np.sum(residual**2) < HALF * np.sum(data**2):
+    if explained >= 0.0 or np.sum(residual**2) <= HALF * np.sum(data**2):
         return
+    share = f" (R^2 = {explained:.3g})" if np.isfinite(explained) else ""
     measured, fitted = np.abs(data).max(), np.abs(data + residual).max()
     bounds = f", and the bounds: {', '.join(at_bounds)}" if at_bounds else ""
     raise InputError(
-        f"nothing was fitted: the law explains none of the data (R^2 = {explained:.3g}); measured stresses reach {measured:.3g} "
-        f"kPa and the law's {fitted:.3g} kPa: check the units (Cauchy stress in kPa, stretches that are 1 at rest){bounds}"
+        f"nothing was fitted: the law explains none of the data{share}; measured stresses reach {measured:.3g} "
+        f"kPa and the law's {fitted:.3g} kPa: check the units and signs (Cauchy stress in kPa, negative in compression; "
+        f"stretches that are 1 at rest){bounds}"
     )
 
 

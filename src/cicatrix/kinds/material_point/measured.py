@@ -15,6 +15,7 @@ from .case import LoadingTable
 
 STRESSES = {"sigma_x_kPa": (0, 0), "sigma_y_kPa": (1, 1), "sigma_z_kPa": (2, 2), "sigma_xy_kPa": (0, 1)}
 LARGEST_STRETCH, SMALLEST_STRETCH = 10.0, 0.5  # a specimen beyond the one, or never above the other, has other units
+LARGEST_STRESS = 1e9  # kPa; beyond it there is no tissue
 CONTRADICTION = 0.02  # relative difference between a column and what the loading assumes in its place that is said
 
 
@@ -127,6 +128,12 @@ def _whole(measured: Measurements, names: Sequence[str]) -> tuple[dict[str, np.n
     found = dict(zip(names, table[rows].T))
     for name in (name for name in names if name.startswith("lambda")):
         _check_stretch(name, found[name], [measured.row(row) for row in rows])
+    for name in (name for name in names if name.startswith("sigma")):
+        if (largest := np.abs(found[name]).max()) > LARGEST_STRESS:
+            row = measured.row(rows[int(np.argmax(np.abs(found[name])))])
+            raise InputError(
+                f"column {name} must be a stress in kPa; got {largest:g} in row {row}: no tissue bears that"
+            )
     descends = np.flatnonzero(np.diff(found["time_h"]) < 0.0)
     if len(descends):
         raise InputError(f"column time_h must ascend; it does not in row {measured.row(rows[descends[0] + 1])}")
