@@ -161,7 +161,10 @@ def test_stresses_that_are_all_zero_fit_nothing():
 
 
 def test_equal_stresses_have_no_variation_to_explain():
-    assert np.isnan(r_squared(np.full(3, 1e-16), np.array([0.6, 0.6, 0.6 + 1e-16])))
+    errors, stress = np.full(13, 1e-16), np.full(13, 0.6) + 1e-16 * (np.arange(13) % 2)
+    assert np.isnan(r_squared(errors, stress))
+    columns = {"lambda_x": np.full(13, 1.1), "sigma_x_kPa": stress}
+    assert notes_on_residuals(columns, {"sigma_x_kPa": errors}, {"sigma_x_kPa": stress}) == []
 
 
 def test_a_nearly_constant_stress_is_fitted_by_its_mean():

@@ -240,7 +240,7 @@ def _body(mesh: meshio.Mesh, unit: str, elastic: tuple[float, float] | None, by_
     displacement = displacement_of(mesh, solid.is_fixed, solid.groups, by_group.displacement)
     is_fixed, displacement, more = followed(solid.is_fixed, solid.tetrahedra, displacement)
     if is_fixed[solid.tetrahedra[:, :4]].all():
-        more.append("All nodes are fixed: nothing is left to be computed; body.fixed is for the supports alone.")
+        more.append("All nodes are fixed, so that the body keeps the shape that it is given: fix its supports alone.")
     E, nu, density = tissue_of(mesh, solid.kind, solid.groups, by_group.materials, elastic)
     return MeshedBody(
         *(solid.points, solid.tetrahedra, is_fixed, displacement, is_sliding, is_pressurised),

@@ -19,7 +19,7 @@ PRELOAD = 0.05  # stress at rest over the largest stress that is said
 def r_squared(residual: np.ndarray, data: np.ndarray) -> float:
     """Return the fraction of the variance of the data (n, ...) about their columns' means that a fit explains, or NaN."""
     spread = float(np.sum((data - data.mean(axis=0)) ** 2))
-    rounding = data.size * float(np.finfo(float).eps * np.abs(data).max()) ** 2
+    rounding = data.size * float(1e-14 * np.abs(data).max()) ** 2
     return 1.0 - float(np.sum(residual**2)) / spread if spread > rounding else float("nan")
 
 
@@ -57,7 +57,7 @@ def notes_on_residuals(
         data = columns[name]
         if r_squared(errors, data) < 0.0:
             notes.append(f"The law explains none of the variation of {name}: its mean is closer to the data.")
-        elif float(np.sqrt(np.mean(errors**2))) > NEGLIGIBLE * float(np.std(data)):
+        elif float(np.sqrt(np.mean(errors**2))) > max(NEGLIGIBLE * float(np.std(data)), 1e-12 * np.abs(data).max()):
             notes += _systematic(name, errors)
         notes += _at_rest(name, columns, stresses[name])
     return notes
