@@ -286,7 +286,7 @@ def test_a_cube_in_a_corner_is_pressed(tmp_path):
         ({"prescribed_displacement": np.ones((27, 3))}, [], "move 18 nodes that are not fixed, the first is node"),
         ({"sliding": np.full(27, 2.0)}, [], "`sliding` must be 0 or 1"),
         ({"sliding": np.arange(27) == 0}, [], "`sliding` mark 1 nodes that are on no boundary face"),
-        ({"pressurised": np.full(27, np.nan)}, [], "`pressurised` must be 0 or 1"),
+        ({"pressurised": np.full(27, np.nan)}, [], "`pressurised` have no value at 27 nodes"),
         ({"pressurised": np.arange(27) == 13}, [], "`pressurised` mark 1 nodes that are on no boundary face"),
         ({}, ["loads.pressure_kPa=1.0"], "loads.pressure_kPa = 1 acts on no face"),
         ({"fixed": np.zeros(27), "sliding": "base"}, [], "sliding nodes alone let the body translate or rotate"),
