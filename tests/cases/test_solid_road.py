@@ -49,12 +49,12 @@ visits_weeks = []
 RADIUS, VOXEL = 30.0, 2.0  # mm
 
 
-def half_ball(tumour=True, apart=False):
+def half_ball(tumour=True, apart=False, radius=RADIUS):
     """Return a breast of fat in front of the last plane of the image, with a tumour of 4 mm."""
-    n = int(np.ceil((RADIUS + 6) / VOXEL))
+    n = int(np.ceil((radius + 6) / VOXEL))
     across, depth = VOXEL * (np.arange(2 * n + 1) - n), VOXEL * (np.arange(n) - n + 0.5)
     z, y, x = np.meshgrid(across, depth, across, indexing="ij")
-    labels = np.where(x**2 + y**2 + z**2 < RADIUS**2, Label.FAT, Label.AIR).astype(np.uint8)
+    labels = np.where(x**2 + y**2 + z**2 < radius**2, Label.FAT, Label.AIR).astype(np.uint8)
     if tumour:
         labels[x**2 + (y + 13.5) ** 2 + z**2 < 4.0**2] = Label.TUMOUR
     if apart:
@@ -186,7 +186,7 @@ def test_standing_and_lying_down(tmp_path):
 
 
 FAULTS = {
-    "nothing supports it": (half_ball(apart=True), ["mesh.edge_mm=6.0"], "nothing supports it"),
+    "nothing supports it": (half_ball(apart=True, radius=40.0), ["mesh.edge_mm=6.0"], "nothing supports it"),
     "no tumour": (half_ball(tumour=False), [], "resection.centre_mm is missing"),
     "outside": (
         half_ball(),

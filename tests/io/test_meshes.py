@@ -400,6 +400,14 @@ def test_data_of_gmsh_belong_to_the_numbers_beside_them(tmp_path):
     np.testing.assert_array_equal(mesh.cell_data["stiff"][1], [0, 1, 2, 3, *[np.nan] * 14])
 
 
+@pytest.mark.parametrize(("number", "instead"), [("\n2, ", "\n2_0, "), (", 2", ", 2_0")])
+def test_a_number_of_abaqus_has_no_underscore(number, instead, tmp_path):
+    """Python reads "2_0" as 20; Abaqus does not."""
+    (tmp_path / "a.inp").write_text(abaqus().replace(number, instead, 1))
+    with pytest.raises(InputError, match='2_0" is not a number'):
+        read_mesh(tmp_path / "a.inp")
+
+
 def test_references_of_medit(tmp_path):
     mesh = meshio.Mesh(
         POINTS,

@@ -143,7 +143,7 @@ def test_a_fault_of_one_rank_ends_all():
 @pytest.mark.parametrize(
     ("command", "sentence"),
     [
-        (["run", "nosuch.toml"], "there is no such case file"),
+        (["run", "nosuch.toml"], "there is no such file"),
         (["demo"], "cicatrix demo runs in one process: start it without mpiexec"),
         (["run", DEMO], "runs in one process"),
     ],

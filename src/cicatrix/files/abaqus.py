@@ -145,11 +145,23 @@ def _block(line: str, at: str) -> _Block:
 # ---- blocks to nodes, elements and sets
 
 
+def _plain(text: str) -> str:
+    """Return the text of a number; Python would take "1_0" for 10."""
+    if "_" in text:
+        raise ValueError(f'"{text}" is not a number')
+    return text
+
+
+def _whole(text: str) -> int:
+    return int(_plain(text))
+
+
 def _node(block: _Block, found: _Found) -> None:
     added = []
     for row in block.rows:
-        found.nodes[int(row[0])] = [float(text or 0.0) for text in [*row[1:4], "", ""][:3]]
-        added.append(int(row[0]))
+        number = _whole(row[0])
+        found.nodes[number] = [float(_plain(text or "0")) for text in [*row[1:4], "", ""][:3]]
+        added.append(number)
     if "NSET" in block.parameters:
         found.node_sets.setdefault(found.key(block.parameters["NSET"]), []).extend(added)
 
@@ -160,7 +172,7 @@ def _element(block: _Block, found: _Found) -> None:
     if not known:
         raise InputError(f"elements of type {name or '(none)'} at {block.at} are not read; use C3D4 or C3D10")
     (kind, size), *_ = known
-    numbers = [int(text) for row in block.rows for text in row if text]
+    numbers = [_whole(text) for row in block.rows for text in row if text]
     if len(numbers) % (size + 1):
         raise ValueError(f"each element of type {name} needs its number and {size} nodes")
     rows = [numbers[at : at + size + 1] for at in range(0, len(numbers), size + 1)]
@@ -172,7 +184,7 @@ def _element(block: _Block, found: _Found) -> None:
 def _members(block: _Block, sets: Mapping[str, list[int]]) -> list[int]:
     """Return the numbers in a set: given one by one, from first to last, or by the names of other sets."""
     if "GENERATE" in block.parameters:
-        spans = [[int(text) for text in row if text] for row in block.rows]
+        spans = [[_whole(text) for text in row if text] for row in block.rows]
         ranges = [range(first, last + 1, *(step or [1])) for first, last, *step in spans]
         if sum(map(len, ranges)) > LARGEST_SET:
             raise ValueError(f"it generates more than {LARGEST_SET} members")
