@@ -178,5 +178,5 @@ def test_smaller_steps_of_the_load_come_through_where_larger_ones_do_not(tmp_pat
         write(tmp_path / "a.vtu", points, cells, youngs_modulus_kPa=5.0, poisson_ratio=nu)
         result = cicatrix.simulate(load_case(case_of(tmp_path, "a.vtu")), tmp_path / f"{nu}")
         found[nu] = result.outcome["max_displacement_mm"].value
-    assert "in smaller steps of the load" in (tmp_path / "0.4999" / "manifest.json").read_text()
+    assert "in smaller steps" in (tmp_path / "0.4999" / "manifest.json").read_text()
     assert found[0.4999] == pytest.approx(found[0.4995], rel=1e-3)

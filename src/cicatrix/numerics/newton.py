@@ -184,8 +184,8 @@ def ramp(
     report: NewtonReport,
     smallest: float = 1.0 / 512.0,
     first: float = 1.0,
-    start: float = 0.0,
     max_iterations: int = 120,
+    start: float = 0.0,
 ) -> np.ndarray:
     """Increase a load factor from ``start`` to 1 in adaptive steps, and return the solution at 1; x is the solution at ``start``.
 
