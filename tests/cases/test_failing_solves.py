@@ -1,11 +1,10 @@
 """Lumpectomies whose equilibrium solves fail: what is left out, what takes its place, and what is said."""
 
 import json
-import os
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_inputs import FAULTS
 
 import cicatrix
 from cicatrix.cases.paths import data_folder
@@ -132,7 +131,7 @@ def test_a_resection_that_keeps_the_skin_says_how_much_is_left(case):
     assert int(note.split(" %")[0]) >= 5
 
 
-RUNS = Path(os.environ.get("CICATRIX_FAULTS", Path(__file__).parents[3] / "shared" / "faults")) / "runs"
+RUNS = FAULTS / "runs"
 
 
 @pytest.mark.slow

@@ -2,11 +2,11 @@
 
 import csv
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from shared_inputs import FAULTS
 
 import cicatrix
 from cicatrix.cli.main import main
@@ -16,7 +16,6 @@ from cicatrix.files.networks import read_network
 from cicatrix.kinds.registry import check_case, load_case
 
 pytestmark = pytest.mark.xdist_group("signalling networks")
-FAULTS = Path(__file__).parents[3] / "shared" / "faults"
 MATH = 'xmlns="http://www.w3.org/1998/Math/MathML"'
 NETFLUX_SPECIES = """Species,,,,,,
 module,ID,name,Yinit,Ymax,tau,type

@@ -4,12 +4,12 @@ import contextlib
 import json
 import random
 import tarfile
-from pathlib import Path
 
 import numpy as np
 import pytest
 import SimpleITK as sitk  # noqa: N813 - the name its own manual uses
 from dicom_phantoms import BODY, enhanced, save, series
+from shared_inputs import FAULTS
 
 from cicatrix.cases.reading import case_table, input_files
 from cicatrix.core.errors import InputError
@@ -18,7 +18,7 @@ from cicatrix.files.images import read_image
 from cicatrix.kinds.registry import load_case
 from cicatrix.runs.manifest import new_manifest
 
-PHANTOMS = Path(__file__).parents[3] / "shared" / "faults" / "images" / "failing_images.tgz"
+PHANTOMS = FAULTS / "images" / "failing_images.tgz"
 
 
 @pytest.fixture(scope="module")

@@ -9,12 +9,12 @@ import pydicom
 import pytest
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import ExplicitVRLittleEndian, generate_uid
+from shared_inputs import FAULTS
 
 from cicatrix.core.errors import InputError
 from cicatrix.files.segmentations import read_labels
 from cicatrix.files.toml import toml_text
 
-FAULTS = Path(__file__).parents[3] / "shared" / "faults"
 SHAPE = (5, 6, 7)  # slices, rows, columns; 42 pixels a frame, so that packed frames begin within a byte
 SPACING_MM = (2.0, 3.0, 4.0)
 ORIGIN_MM = (-10.0, -20.0, 30.0)

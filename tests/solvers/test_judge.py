@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_inputs import FAULTS
 
 from cicatrix.core.errors import InputError
 from cicatrix.files.images import read_image, write_volume
@@ -152,9 +153,9 @@ def test_label_names_name_tissues(case_file, tmp_path, names, says):
         load_case(case_file(CASE.format(names=names)))
 
 
-@pytest.mark.skipif(not (SHARED / "faults").exists(), reason="the shared folder is not beside the project")
+@pytest.mark.skipif(not FAULTS.exists(), reason="the shared folder is not beside the project")
 def test_shared_cases_on_the_wrong_side_are_refused_and_those_with_labels_are_read():
-    folder = SHARED / "faults" / "toml"
+    folder = FAULTS / "toml"
     with pytest.raises(InputError, match="as if this were the other breast"):
         anatomy_of(load_case(folder / "otherside.toml"))
     assert "labels imported" in anatomy_of(load_case(folder / "labels_small.toml"))[1]

@@ -1,13 +1,13 @@
 """SBML files that are damaged, that break SBML's rules, or that are read in a way that is easily got wrong."""
 
 import re
-from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from sbml_models import TIME, assignment, cell, listed, math, parameter, reaction, rule, sbml, species
+from shared_inputs import FAULTS
 
 from cicatrix.biology.courses import end_state, integrate
 from cicatrix.biology.sensitivity import of_end
@@ -258,12 +258,12 @@ def test_functions_that_are_rare(tmp_path):
     )
 
 
-FAULTS = Path(__file__).parents[3] / "shared" / "faults" / "sbml"
+SBML = FAULTS / "sbml"
 
 
-@pytest.mark.skipif(not FAULTS.is_dir(), reason="the folder of failing inputs is absent")
+@pytest.mark.skipif(not SBML.is_dir(), reason="the folder of failing inputs is absent")
 def test_minutes_that_a_file_states():
-    assert read_sbml(FAULTS / "setia" / "m_min.xml").law.seconds == 60.0
+    assert read_sbml(SBML / "setia" / "m_min.xml").law.seconds == 60.0
 
 
 def test_a_compartment_that_constants_determine_is_no_variable_one(tmp_path):
