@@ -4,42 +4,23 @@ import json
 
 import numpy as np
 import pytest
+from coarse_lumpectomy import LUMPECTOMY, write_labels
 from shared_inputs import FAULTS
 
 import cicatrix
 from cicatrix.cases.paths import data_folder
 from cicatrix.core.errors import ConvergenceError, InputError
-from cicatrix.files.images import write_volume
-from cicatrix.image.phantom import phantom
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.failure import NoEquilibriumError
 
-CASE = """
-kind = "lumpectomy"
-dimension = 2
-[image]
-labels = "labels.nii.gz"
-[healing]
-pitch_um = 200.0
-p_layer = 0.05
-[coupling]
-days_per_cycle = 21.0
-[mesh]
-edge_mm = 8.0
-cavity_edge_mm = 3.0
-[outcome]
-positions = ["upright", "supine"]
-visits_weeks = [3]
-"""
 pytestmark = pytest.mark.xdist_group("failing solves")  # compiled once
 
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory):
     folder = tmp_path_factory.mktemp("failing")
-    _, labels = phantom(spacing_mm=3.0, seed=4, side="left", tumour_diameter_mm=14.0)
-    write_volume(folder / "labels.nii.gz", labels)
-    (folder / "case.toml").write_text(CASE)
+    write_labels(folder)
+    (folder / "case.toml").write_text(LUMPECTOMY.replace("[3, 40]", "[3]"))
     return cicatrix.load_case(folder / "case.toml")
 
 

@@ -4,11 +4,10 @@ import json
 
 import numpy as np
 import pytest
+from coarse_lumpectomy import write_labels
 
 import cicatrix
-from cicatrix.files.images import write_volume
 from cicatrix.files.segmentations import read_labels
-from cicatrix.image.phantom import phantom
 
 CASE = """
 kind = "lumpectomy"
@@ -29,8 +28,7 @@ visits_weeks = [2]
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("road")
-    _, labels = phantom(spacing_mm=3.0, seed=4, side="left", tumour_diameter_mm=14.0)
-    write_volume(folder / "labels.nii.gz", labels)
+    labels = write_labels(folder)
     (folder / "case.toml").write_text(CASE)
     return cicatrix.simulate(cicatrix.load_case(folder / "case.toml"), out=folder / "run"), labels
 

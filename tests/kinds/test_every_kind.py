@@ -9,14 +9,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import skfem
+from coarse_lumpectomy import LUMPECTOMY, write_labels
 
 import cicatrix
 from cicatrix.core.errors import ConvergenceError, InputError
 from cicatrix.core.ranks import Ranks
-from cicatrix.files.images import write_volume
 from cicatrix.files.vtu import write_vtu
 from cicatrix.geometry.tetrahedra import oriented
-from cicatrix.image.phantom import phantom
 from cicatrix.kinds.registry import KINDS, simulation_type
 from cicatrix.runs import driver
 from cicatrix.runs.kind import Simulation
@@ -32,23 +31,6 @@ kind = "equilibrium"
 mesh = "body.vtu"
 [loads]
 gravity_m_s2 = [0.0, 0.0, -9.81]
-"""
-LUMPECTOMY = """
-kind = "lumpectomy"
-dimension = 2
-[image]
-labels = "labels.nii.gz"
-[healing]
-pitch_um = 200.0
-p_layer = 0.05
-[mesh]
-edge_mm = 8.0
-cavity_edge_mm = 3.0
-[outcome]
-positions = ["upright", "supine"]
-visits_weeks = [3, 40]
-[coupling]
-days_per_cycle = 21.0
 """
 CASES = {  # text of the case, or an example with settings; moments after which it is stopped, counted in states of the march
     "automaton": (
@@ -188,8 +170,7 @@ def write_inputs(folder):
     (folder / "reactions.csv").write_text(
         "id,rule,weight,n,ec50\nin,=> A,0.25,1.4,0.5\nr1,A & !C => B,1,1.4,0.5\nr2,B => C,1,1.4,0.5\n"
     )
-    _, labels = phantom(spacing_mm=3.0, seed=4, side="left", tumour_diameter_mm=14.0)
-    write_volume(folder / "labels.nii.gz", labels)
+    write_labels(folder)
 
 
 @pytest.fixture(scope="module")

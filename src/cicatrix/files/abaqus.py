@@ -17,7 +17,9 @@ import meshio
 import numpy as np
 
 from ..core.errors import InputError
+from .numerals import without_underscore
 from .opening import bytes_of
+from .voxels import numbers_in
 
 TYPES = (  # beginning of the name of an element type: name in meshio, number of nodes
     (r"C3D4", "tetra", 4),
@@ -145,22 +147,15 @@ def _block(line: str, at: str) -> _Block:
 # ---- blocks to nodes, elements and sets
 
 
-def _plain(text: str) -> str:
-    """Return the text of a number; Python would take "1_0" for 10."""
-    if "_" in text:
-        raise ValueError(f'"{text}" is not a number')
-    return text
-
-
 def _whole(text: str) -> int:
-    return int(_plain(text))
+    return int(without_underscore(text))
 
 
 def _node(block: _Block, found: _Found) -> None:
     added = []
     for row in block.rows:
         number = _whole(row[0])
-        found.nodes[number] = [float(_plain(text or "0")) for text in [*row[1:4], "", ""][:3]]
+        found.nodes[number] = numbers_in(text or "0" for text in [*row[1:4], "", ""][:3])
         added.append(number)
     if "NSET" in block.parameters:
         found.node_sets.setdefault(found.key(block.parameters["NSET"]), []).extend(added)

@@ -18,6 +18,7 @@ import numpy as np
 from ..core.deferred import Deferred
 from ..core.errors import InputError
 from .segments import Segment
+from .stack import APART, APART_MM
 
 if TYPE_CHECKING:
     import pydicom
@@ -27,7 +28,6 @@ else:
 
 STORAGE = ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")  # Segmentation, Label Map Segmentation
 MOST_VOXELS = 500_000_000
-APART_MM, APART = 0.1, 0.02  # largest distance of a frame from its place in the stack [mm], or relative to the gap
 ORTHONORMAL = 1e-3
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from ..core.errors import InputError
 from .grid import Grid, Stored, check_size
+from .numerals import without_underscore
 from .streams import Source, opened
 from .voxels import decoded, from_files, numbered, numbers_in
 
@@ -64,12 +65,8 @@ def read_nrrd(path: Path, *, layers: bool = False) -> Stored:
     """
     with opened(path) as source:
         fields, pairs = _header(source)
-        sizes = _whole_numbers(fields, "sizes")
-        domain = _domain(fields, len(sizes))
-        others = [axis for axis in range(len(sizes)) if axis not in domain]
+        sizes, others, size, grid = _layout(fields, layers)
         components = int(np.prod([float(sizes[axis]) for axis in others]))
-        size = check_size(tuple(sizes[axis] for axis in domain), 1 if layers else components)
-        grid = _grid(fields, domain)
         if components == 1:
             return Stored(_values(path, source, fields, size[::-1]), grid, pairs)
         check_size((*size[:2], size[2] * components))
@@ -81,11 +78,18 @@ def read_nrrd(path: Path, *, layers: bool = False) -> Stored:
 def nrrd_header(path: Path) -> tuple[tuple[int, int, int], Grid]:
     """Return the numbers of voxels along x, y, z, and where they lie; voxels are not read. InputError as :func:`read_nrrd`."""
     with opened(path) as source:
-        fields, _ = _header(source)
-        sizes = _whole_numbers(fields, "sizes")
-        domain = _domain(fields, len(sizes))
-        components = int(np.prod([float(n) for axis, n in enumerate(sizes) if axis not in domain]))
-        return check_size(tuple(sizes[axis] for axis in domain), components), _grid(fields, domain)
+        _, _, size, grid = _layout(_header(source)[0], layers=False)
+        return size, grid
+
+
+def _layout(fields: dict[str, str], layers: bool) -> tuple[list[int], list[int], tuple[int, int, int], Grid]:
+    """Return the sizes of all axes, the axes that are not in space, the numbers of voxels along x, y, z, and where they lie."""
+    sizes = _whole_numbers(fields, "sizes")
+    domain = _domain(fields, len(sizes))
+    others = [axis for axis in range(len(sizes)) if axis not in domain]
+    components = int(np.prod([float(sizes[axis]) for axis in others]))
+    size = check_size(tuple(sizes[axis] for axis in domain), 1 if layers else components)
+    return sizes, others, size, _grid(fields, domain)
 
 
 def _header(source: Source) -> tuple[dict[str, str], dict[str, str]]:
@@ -127,9 +131,7 @@ def _field(fields: dict[str, str], name: str) -> str:
 def _whole_numbers(fields: dict[str, str], name: str) -> list[int]:
     text = _field(fields, name)
     try:
-        if "_" in text:
-            raise ValueError  # Python would read 1_0 as 10
-        numbers = [int(word) for word in text.split()]
+        numbers = [int(without_underscore(word)) for word in text.split()]
     except ValueError:
         raise InputError(f'the NRRD field "{name}" must have whole numbers; got "{text[:60]}"') from None
     if name == "sizes" and str(len(numbers)) != fields.get("dimension", "").strip():

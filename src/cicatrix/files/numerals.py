@@ -16,6 +16,13 @@ SPACED = re.compile(r"(?<=[0-9])['\N{RIGHT SINGLE QUOTATION MARK}\u00a0\u2009\u2
 OTHER = {".": ",", ",": "."}
 
 
+def without_underscore(text: str) -> str:
+    """Return the text of a number of a file format, for Python to read: ValueError for "1_0", which it would take for 10."""
+    if "_" in text:
+        raise ValueError(f'"{text}" is not a number')
+    return text
+
+
 class Numerals(NamedTuple):
     """How the numbers of a table are written."""
 

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core.errors import InputError
+from .numerals import without_underscore
 from .streams import MOST_LINES, Source, opened
 
 
@@ -52,11 +53,8 @@ def decoded(
 
 
 def numbers_in(words: Iterable[str]) -> list[float]:
-    """Return the numbers that words of a file write; unlike Python, which reads 1_0 as 10 (ValueError if a word is none)."""
-    words = list(words)
-    if any("_" in word for word in words):
-        raise ValueError("a number has no _")
-    return [float(word) for word in words]
+    """Return the numbers that words of a file write (ValueError if a word is none)."""
+    return [float(without_underscore(word)) for word in words]
 
 
 def from_files(

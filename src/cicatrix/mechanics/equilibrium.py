@@ -159,24 +159,24 @@ class Equilibrium:
                 ("the unloaded shape", by_load, {"smallest": 1.0}),
                 ("the nearby shape", nearby, {"first": 0.5, "smallest": SMALLEST_STEP}),
             ]
+        failure, last_lines = None, []
         for number, (name, path, steps) in enumerate(paths):
             if number:
                 report.history.append(f"from {name}")
             try:
                 return ramp(path.advance, path.reached, report, **steps), report
             except ConvergenceError as error:
-                if number == len(paths) - 1 and not body.has_potential:
-                    if (found := self._in_smaller_steps(problem, by_load, report)) is not None:
-                        return found, report
-                    raise self._no_equilibrium(problem, by_load, report, []) from error
-        report.history.append("minimising the potential energy from there")
-        try:
-            last = self._predicted(replace(problem, x=paths[-1][1].reached), 1.0, prescribed_positions)
-            return self._minimise(last, report), report
-        except ConvergenceError as error:
-            if (found := self._in_smaller_steps(problem, by_load, report)) is not None:
-                return found, report
-            raise self._no_equilibrium(problem, by_load, report, error.history) from error
+                failure = error
+        if body.has_potential:
+            report.history.append("minimising the potential energy from there")
+            try:
+                last = self._predicted(replace(problem, x=paths[-1][1].reached), 1.0, prescribed_positions)
+                return self._minimise(last, report), report
+            except ConvergenceError as error:
+                failure, last_lines = error, error.history
+        if (found := self._in_smaller_steps(problem, by_load, report)) is not None:
+            return found, report
+        raise self._no_equilibrium(problem, by_load, report, last_lines) from failure
 
     def _in_smaller_steps(self, problem: Problem, by_load: _Path, report: NewtonReport) -> np.ndarray | None:
         """Go on along the path in smaller steps; return the shape at its end (n_nodes, 3) [mm], or None if that fails."""

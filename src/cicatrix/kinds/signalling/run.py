@@ -95,6 +95,8 @@ class SignallingRun(Simulation[NetworkState]):
     @classmethod
     def of(cls, case: SignallingCase) -> type[Simulation]:
         """Return the class that simulates a case: another one, if its SBML file is beyond rate laws."""
+        if case.network.sbml is None:
+            return cls
         return DelegatedRun if isinstance(read_model(case).law, DelegatedNetwork) else cls
 
     @cached_property
