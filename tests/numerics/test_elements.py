@@ -158,6 +158,20 @@ def test_skin_energy_in_closed_form(edges):
     np.testing.assert_allclose(W, expected, rtol=1e-9, atol=1e-11)
 
 
+def test_prestretched_skin_in_closed_form(edges):
+    """Stretched by a in both directions before: mu/2 (l^2 + l^-2 a^-2 + a^2 (1 + s^2) - 3), l = a lam, while l exceeds a^(-1/2).
+
+    Shorter, it is pulled across alone: mu/2 (a^2 (1 + s^2) + 2/a - 3), and wrinkles. By hand.
+    """
+    X, x, membrane, table = edges
+    a = 1.1
+    W = np.asarray(membrane_energy(X, x, membrane._replace(prestretch=a), table)) / (THICKNESS * LENGTH)
+    along, slack = np.maximum(a * STRETCH, a**-0.5), np.maximum(a**-0.5 - a * STRETCH, 0.0)
+    wrinkled = 4 * MU * LIMIT * (slack - LIMIT * (1.0 - np.exp(-slack / LIMIT)))
+    expected = MU / 2 * (along**2 + (a * along) ** -2.0 + a**2 * (1 + SHEAR**2) - 3) + wrinkled
+    np.testing.assert_allclose(W, expected, rtol=1e-9, atol=1e-11)
+
+
 def test_wrinkling_strain():
     """Film and tissue of equal stiffness: 3^(2/3) / 4; the film a thousand times stiffer: a hundredth of that. By hand."""
     assert wrinkling_strain(5.0, 5.0) == pytest.approx(0.25 * 3 ** (2 / 3))

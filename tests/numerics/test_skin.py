@@ -310,3 +310,13 @@ def test_a_mesh_bears_the_push_that_is_left_to_its_skin(share, thickness, is_sta
 
 def test_coarse_meshes_and_thin_films_keep_their_own_wrinkling_strain():
     assert meshed_wrinkling_strain(FILM_E, FAT_E, 1.45, 1e3) == wrinkling_strain(FILM_E, FAT_E)
+
+
+@pytest.mark.parametrize("pair", [(1.3, 1.1), (1.2, 0.7), (0.95, 0.7), (0.9, 0.9)])
+def test_prestretch_multiplies_the_stretches_of_a_sheet(pair):
+    """A sheet stretched by 1.15 beforehand has the energy of one whose stretches are 1.15 times larger."""
+    X, x, _ = stretched([pair])
+    _, larger, _ = stretched([(1.15 * pair[0], 1.15 * pair[1])])
+    before = skin(1)._replace(prestretch=1.15)
+    W = compiled(lambda x, membrane: membrane_energy(X, x, membrane, TABLE))
+    assert float(W(x, before)[0]) == pytest.approx(float(W(larger, skin(1))[0]), rel=1e-12)

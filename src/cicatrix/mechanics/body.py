@@ -35,6 +35,7 @@ from .elements import (
     tangent,
     volume_ratio,
 )
+from .fascia import Fascia, Springs, spring_energy, spring_force
 from .pattern import Pattern
 from .space import AnySpace, Space
 from .supports import Supports
@@ -60,6 +61,8 @@ class Discretization:
         times.
     sliding_normals : (m, 3) array [1], optional
         Unit vectors of these directions (:func:`.supports.walls` finds those of a wall).
+    wall_facets : (k,) int array, optional
+        Facets on the chest wall that carry the springs of the body's fascia.
     ranks : Ranks
         Ranks that share the body: each has its own elements and all nodes, and sums over elements include those of all
         ranks. Shared bodies are created by :mod:`.division`.
@@ -70,12 +73,23 @@ class Discretization:
     fixed_nodes: np.ndarray
     sliding_nodes: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     sliding_normals: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
+    wall_facets: np.ndarray = field(default_factory=lambda: np.zeros(0, int))
     ranks: Ranks = field(default_factory=Ranks)
 
     @cached_property
     def skin_nodes(self) -> np.ndarray:
         """Nodes of the skin facets: edges of a section (n_facets, 3), faces of a solid (n_facets, 6)."""
         return self.space.facet_nodes(self.skin_facets)
+
+    @cached_property
+    def wall_nodes(self) -> np.ndarray:
+        """Nodes of the facets on the chest wall: edges of a section (n_facets, 3), faces of a solid (n_facets, 6)."""
+        return self.space.facet_nodes(self.wall_facets)
+
+    @property
+    def _connected(self) -> list[np.ndarray]:
+        """Nodes of elements, skin facets and wall facets, the order in which forces and matrices are added."""
+        return [self.space.element_nodes, self.skin_nodes, self.wall_nodes]
 
     @cached_property
     def free_nodes(self) -> np.ndarray:
@@ -95,8 +109,7 @@ class Discretization:
             nodes = self.free_nodes
             components = 2 if in_plane else 3
             dofs = (3 * nodes[:, None] + np.arange(components)).ravel()
-            elements = [self.space.element_nodes, self.skin_nodes]
-            self._solved[in_plane] = dofs, Pattern(elements, nodes, self.space.n_nodes, components)
+            self._solved[in_plane] = dofs, Pattern(self._connected, nodes, self.space.n_nodes, components)
         return self._solved[in_plane]
 
     @cached_property
@@ -124,8 +137,11 @@ class Discretization:
         return self.supports(in_plane).matrix(pattern.matrix(pattern.zeros(), np.zeros(pattern.n_dofs)))
 
     def scatter(self, forces: list[Array]) -> np.ndarray:
-        """Sum element and skin-facet forces at the nodes, over all ranks: [(n, a, 3), ...] -> (n_nodes, 3)."""
-        nodes = np.concatenate([self.space.element_nodes.ravel(), self.skin_nodes.ravel()])
+        """Sum the forces of elements, skin facets and wall facets at the nodes, over all ranks: [(n, a, 3), ...] -> (n_nodes, 3).
+
+        Those of the facets may be left out.
+        """
+        nodes = np.concatenate([part.ravel() for part in self._connected[: len(forces)]])
         values = np.concatenate([np.asarray(f).reshape(-1, 3) for f in forces])
         sums = [np.bincount(nodes, weights=column, minlength=self.space.n_nodes) for column in values.T]
         return self.ranks.sum(np.stack(sums, axis=1))
@@ -162,6 +178,10 @@ class Body:
         In a solid the remaining compressive force per length, N, is at most modulus x thickness x this strain. It makes the
         skin buckle if the mesh resolves waves shorter than about pi N / mu, with mu the shear modulus of the tissue below;
         choose the strain small enough that it does not.
+    skin_prestretch : float [1]
+        In-plane stretch of the skin, equal in all directions, in the reference configuration.
+    fascia : Fascia, optional
+        Springs on the facets ``discretization.wall_facets``.
     pressure : (n_facets,) array [kPa], optional
         External follower pressure on the faces ``discretization.skin_facets`` of a solid, against their current outward
         normal. The tangent is symmetric if these faces form a closed surface, or if its edge is fixed or slides along planes, and
@@ -176,6 +196,8 @@ class Body:
     skin_thickness: np.ndarray
     wrinkling_strain: float = 0.1
     pressure: np.ndarray | None = None
+    skin_prestretch: float = 1.0
+    fascia: Fascia | None = None
 
     @cached_property
     @own_exceptions()
@@ -211,7 +233,12 @@ class Body:
     @property
     def _membrane(self) -> Membrane:
         pressure = np.zeros(len(self.skin_thickness)) if self.pressure is None else self.pressure
-        return Membrane(self.skin, self.skin_thickness, self.wrinkling_strain, pressure)
+        return Membrane(self.skin, self.skin_thickness, self.wrinkling_strain, pressure, self.skin_prestretch)
+
+    def _springs(self, X: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, Springs] | None:
+        """Return the positions of the wall facets' nodes in both shapes, and their springs; None without fascia."""
+        nodes = self.discretization.wall_nodes
+        return None if self.fascia is None else (X[nodes], x[nodes], self.fascia.on(len(nodes)))
 
     @cached_property
     def active_nodes(self) -> np.ndarray:
@@ -234,9 +261,13 @@ class Body:
         X, x (n_nodes, 3) [mm], gravity (3,) [mm/s^2]; J_bar (n_elements, n_qp) [1] defaults to ``volume_ratio``.
         """
         J_bar = self.volume_ratio(X, x) if J_bar is None else J_bar
-        return self.discretization.scatter(
-            _forces(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane, gravity)
-        )
+        return self.discretization.scatter(self._forces(X, x, J_bar, gravity))
+
+    def _forces(self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, gravity: np.ndarray) -> list[Array]:
+        """Return the forces at the nodes of elements, skin facets and, with fascia, wall facets [mN/mm]."""
+        forces = _forces(self._tables, *self._gather(X, x), J_bar, self._bulk, self._membrane, gravity)
+        springs = self._springs(X, x)
+        return forces if springs is None else [*forces, _spring_forces(self._tables, *springs)]
 
     @own_exceptions()
     def linearised(
@@ -249,9 +280,8 @@ class Body:
         """
         skin = partial(_skin_tangents, self._tables, *self._edges(X, x), self._membrane)
         linearise = partial(_linearisations, self._tables)
-        return self._assembled(
-            linearise, X, x, J_bar, skin, in_plane, damping * self.lumped_mass(X) if damping else None
-        )
+        added = damping * self.lumped_mass(X) if damping else None
+        return self._assembled(linearise, X, x, J_bar, [skin, partial(_spring_tangents, self._tables)], in_plane, added)
 
     @own_exceptions()
     def linearised_reference(
@@ -260,7 +290,8 @@ class Body:
         """Return the derivatives of :meth:`linearised`, but with respect to the reference positions X."""
         skin = partial(_reference_skin_tangents, self._tables, *self._edges(X, x), self._membrane)
         linearise = partial(_reference_linearisations, self._tables, gravity)
-        return self._assembled(linearise, X, x, J_bar, skin, in_plane)
+        springs = partial(_reference_spring_tangents, self._tables)
+        return self._assembled(linearise, X, x, J_bar, [skin, springs], in_plane)
 
     def _assembled(
         self,
@@ -268,15 +299,17 @@ class Body:
         X: np.ndarray,
         x: np.ndarray,
         J_bar: np.ndarray,
-        skin: Callable[[], Array],
+        on_facets: list[Callable[..., Array]],
         in_plane: bool,
         added: np.ndarray | None = None,
     ) -> tuple[sp.bsr_array, VolumeRates]:
         """Assemble a matrix from element matrices in chunks; return it with the coupling to J_bar, as in ``linearised``.
 
         All element matrices at once would need more RAM than the factorised matrix. ``linearise`` computes those of a chunk of
-        elements, ``skin`` those of all skin facets; ``added`` (n_nodes,) is added to the diagonal.
+        elements, ``on_facets`` those of all skin facets and of the springs on wall facets; ``added`` (n_nodes,) is added to
+        the diagonal.
         """
+        skin, springs = on_facets
         free, pattern = self.discretization.solved(in_plane)
         cells, bulk = self.discretization.space.element_nodes, jax.tree.map(np.asarray, self._bulk)
         data, rates = pattern.zeros(), VolumeRates.empty(*J_bar.shape, 3 * cells.shape[1])
@@ -291,6 +324,8 @@ class Body:
             rates.force_rate[piece], rates.volume_rate[piece] = part.force_rate, part.volume_rate
         if len(self.discretization.skin_facets):
             pattern.add(data, 1, 0, np.asarray(skin()))
+        if (on_wall := self._springs(X, x)) is not None:
+            pattern.add(data, 2, 0, np.asarray(springs(*on_wall)))
         diagonal = np.where(np.repeat(self.active_nodes, 3)[free], 0.0, 1.0)
         if added is not None:
             diagonal += np.repeat(added, 3)[free]
@@ -299,7 +334,7 @@ class Body:
     def volume_force(self, rates: VolumeRates, gap: np.ndarray) -> np.ndarray:
         """Return the change of the nodal forces if J_bar changes by ``gap``: (n_elements, n_qp) [1] -> (n_nodes, 3) [mN/mm]."""
         force = np.einsum("eqm,eq->em", rates.force_rate, gap).reshape(len(gap), -1, 3)
-        return self.discretization.scatter([force, np.zeros((*self.discretization.skin_nodes.shape, 3))])
+        return self.discretization.scatter([force])  # pyright: ignore[reportArgumentType]
 
     def volume_change(self, rates: VolumeRates, moved: np.ndarray) -> np.ndarray:
         """Return the first-order change of J_bar for a nodal displacement: (n_nodes, 3) [mm] -> (n_elements, n_qp) [1]."""
@@ -334,20 +369,21 @@ class Body:
     def inner_force(self, X: np.ndarray, x: np.ndarray) -> float:
         """Return the norm of the nodal sums of absolute element forces [mN], the scale of the residual without load."""
         zero = np.zeros(3)
-        parts = _forces(self._tables, *self._gather(X, x), self.volume_ratio(X, x), self._bulk, self._membrane, zero)
+        parts = self._forces(X, x, self.volume_ratio(X, x), zero)
         return float(np.linalg.norm(self.discretization.scatter([np.abs(part) for part in parts])))
 
     def strain_energy(self, X: np.ndarray, x: np.ndarray) -> float:
-        """Return the strain energy of tissue and skin per depth [uJ/mm = mN]."""
+        """Return the strain energy of tissue, skin and fascia per depth [uJ/mm = mN]."""
         return self.discretization.total(self._own_strain_energy(X, x))
 
     @own_exceptions()
     def _own_strain_energy(self, X: np.ndarray, x: np.ndarray) -> float:
-        bulk = np.sum(self.energy_density(X, x) * self.volumes(X) * self.fraction[:, None])
-        edges = self.discretization.skin_nodes
-        if not len(edges):
-            return float(bulk)
-        return float(bulk + np.sum(_skin_energies(self._tables, X[edges], x[edges], self._membrane)))
+        energy = float(np.sum(self.energy_density(X, x) * self.volumes(X) * self.fraction[:, None]))
+        if len(self.discretization.skin_facets):
+            energy += float(np.sum(_skin_energies(self._tables, *self._edges(X, x), self._membrane)))
+        if (springs := self._springs(X, x)) is not None:
+            energy += float(np.sum(_spring_energies(self._tables, *springs)))
+        return energy
 
     def potential(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray) -> float:
         """Return the potential energy per depth [mN]: strain energy minus work of gravity from X to x; pressure is left out."""
@@ -505,6 +541,26 @@ def _skin_energies(tables, X_edges, x_edges, membrane):
     return membrane_energy(X_edges, x_edges, membrane, tables.edge)
 
 
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _spring_forces(tables, X_wall, x_wall, springs):
+    return spring_force(X_wall, x_wall, springs, tables.edge)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _spring_tangents(tables, X_wall, x_wall, springs):
+    return tangent(lambda y: spring_force(X_wall, y, springs, tables.edge), x_wall)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _reference_spring_tangents(tables, X_wall, x_wall, springs):
+    return tangent(lambda Y: spring_force(Y, x_wall, springs, tables.edge), X_wall)
+
+
+@partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
+def _spring_energies(tables, X_wall, x_wall, springs):
+    return spring_energy(X_wall, x_wall, springs, tables.edge)
+
+
 KERNELS = (
     _volume_ratios,
     _forces,
@@ -515,6 +571,10 @@ KERNELS = (
     _law_gradients,
     _energies,
     _skin_energies,
+    _spring_forces,
+    _spring_tangents,
+    _reference_spring_tangents,
+    _spring_energies,
     _gradients,
     _fluctuation_fractions,
 )

@@ -44,6 +44,8 @@ class Membrane(NamedTuple):
     """Compressive strain at which the skin wrinkles [1]."""
     pressure: Array | np.ndarray | float = 0.0
     """External pressure on a solid's faces, along their current normal (n_facets,) [kPa]."""
+    prestretch: Array | float = 1.0
+    """In-plane stretch in the reference configuration, equal in all directions [1]."""
 
 
 def local_map(x: Array, gradient: np.ndarray) -> Array:
@@ -378,17 +380,22 @@ def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Arr
 def _edge_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
     r"""Return reference length element [mm] and energy density [kPa] of edges: X, x (n, 3, 3) [mm] -> two (n, n_qp).
 
-    The energy is the law's own where the edge is stretched, and where it is shortened by :math:`\epsilon` it is
-    :math:`k \epsilon_w [\epsilon - \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`. The stress of the latter has the law's modulus k
-    as its initial slope and tends to :math:`k \epsilon_w`. The energy is smooth and its tangent is never negative.
+    The energy is the law's own where the edge is pulled. Where it is shorter by :math:`\epsilon` than if the skin were pulled across
+    the section alone, it is :math:`k \epsilon_w [\epsilon - \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`, whose stress has the law's
+    modulus k as its initial slope and tends to :math:`k \epsilon_w`. The energy is smooth and its tangent is never negative. Across
+    the section the skin keeps its prestretch a; pulled by it alone, an incompressible isotropic film has the stretch
+    :math:`a^{-1/2}` along the edge.
     """
     X_s = jnp.einsum("eai,qa->eqi", X, table.gradient[..., 0])
     x_s = jnp.einsum("eai,qa->eqi", x, table.gradient[..., 0])
     length = jnp.sqrt(X_s[..., 0] ** 2 + X_s[..., 1] ** 2)
-    stretch = jnp.sqrt(x_s[..., 0] ** 2 + x_s[..., 1] ** 2) / length
-    shear = (x_s[..., 2] - X_s[..., 2]) / length
-    energy, _ = wrinkled(jnp.maximum(1.0 - stretch, 0.0), membrane.wrinkling_strain)
-    return length, membrane.law.energy(film(jnp.maximum(stretch, 1.0), shear)) + film_modulus(membrane.law) * energy
+    across = jnp.asarray(membrane.prestretch)
+    stretch = across * jnp.sqrt(x_s[..., 0] ** 2 + x_s[..., 1] ** 2) / length
+    shear = across * (x_s[..., 2] - X_s[..., 2]) / length
+    slack = across**-0.5
+    energy, _ = wrinkled(jnp.maximum(slack - stretch, 0.0), membrane.wrinkling_strain)
+    pulled = membrane.law.energy(film(jnp.maximum(stretch, slack), shear, across))
+    return length, pulled + film_modulus(membrane.law) * energy
 
 
 def _face_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
@@ -404,11 +411,13 @@ def _face_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[
     first direction contracts along the second by up to half the strain :math:`a_1`, as in simple tension; if it is shorter than
     that along the second, it is slack there. :math:`p = \max(-a_1/2 - e_2, 0)` is this excess shortening along the second
     direction, :math:`n = \max(-e_1, 0)` the shortening along the first. First derivatives are continuous everywhere, second
-    ones at rest; the energy is convex in the principal stretches. The compressive Kirchhoff stress of the film, in one
+    ones at rest; the energy is convex in the principal stretches. Stretches are those since the skin was free of stress, the
+    prestretch included. The compressive Kirchhoff stress of the film, in one
     direction or both, is at most :math:`k \epsilon_w`.
     """
     X_map, x_map = (jnp.einsum("eai,qab->eqib", y, table.gradient) for y in (X, x))
     area, e = principal_strains(X_map, x_map)
+    e = [strain + jnp.log(membrane.prestretch) for strain in e]
     pulled = jnp.maximum(e[0], 0.0)
     across = jnp.maximum(e[1], -0.5 * pulled)
     both = [wrinkled(jnp.maximum(d, 0.0), membrane.wrinkling_strain) for d in (-e[0], -0.5 * pulled - e[1])]
@@ -456,13 +465,13 @@ def sheet(one: Array, other: Array) -> Array:
     return jnp.stack([one, other, 1.0 / (one * other)], axis=-1)[..., None] * jnp.eye(3)
 
 
-def film(stretch: Array, shear: Array) -> Array:
-    """Return the deformation gradient (..., 3, 3) of an incompressible film from its stretch and shear (...) [1].
+def film(stretch: Array, shear: Array, across: Array | float = 1.0) -> Array:
+    """Return the deformation gradient (..., 3, 3) of an incompressible film from its stretches and its shear (...) [1].
 
-    Its axes are the edge, the direction of the thickness and the normal of the section.
+    Its axes are the edge, the direction of the thickness and the normal of the section, along which the stretch is ``across``.
     """
-    zero, one = jnp.zeros_like(stretch), jnp.ones_like(stretch)
-    rows = [[stretch, zero, zero], [zero, 1.0 / stretch, zero], [shear, zero, one]]
+    zero, other = jnp.zeros_like(stretch), across * jnp.ones_like(stretch)
+    rows = [[stretch, zero, zero], [zero, 1.0 / (stretch * other), zero], [shear, zero, other]]
     return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
 
 
