@@ -380,10 +380,10 @@ def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Arr
 def _edge_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
     r"""Return reference length element [mm] and energy density [kPa] of edges: X, x (n, 3, 3) [mm] -> two (n, n_qp).
 
-    The energy is the law's own where the edge is pulled. Where it is shorter by :math:`\epsilon` than if the skin were pulled across
-    the section alone, it is :math:`k \epsilon_w [\epsilon - \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`, whose stress has the law's
-    modulus k as its initial slope and tends to :math:`k \epsilon_w`. The energy is smooth and its tangent is never negative. Across
-    the section the skin keeps its prestretch a; pulled by it alone, an incompressible isotropic film has the stretch
+    The energy is the law's own where the edge is pulled. Where it is shorter by :math:`\epsilon` than if the skin were pulled
+    across the section alone, it is :math:`k \epsilon_w [\epsilon - \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`; its stress has
+    the law's modulus k as its initial slope and tends to :math:`k \epsilon_w`. The energy is smooth, its tangent never negative.
+    Across the section the skin keeps its prestretch a; pulled by it alone, an incompressible isotropic film has the stretch
     :math:`a^{-1/2}` along the edge.
     """
     X_s = jnp.einsum("eai,qa->eqi", X, table.gradient[..., 0])
