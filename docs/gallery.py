@@ -17,7 +17,7 @@ import jax
 import numpy as np
 from matplotlib.figure import Figure
 
-from cicatrix.cases.laws import GROWTHS, LAWS, key_of, law_of
+from cicatrix.cases.laws import GROWTHS, ISOTROPIC, LAWS, key_of, law_of
 from cicatrix.core.units import unit_factor
 from cicatrix.kinds.material_point.case import PointCase
 from cicatrix.kinds.registry import load_case
@@ -113,7 +113,8 @@ def page() -> str:
     parts = [TEXT]
     for name, law in LAWS.items():
         parts.append(f"## `{name}`\n\n{prose_of(law.__doc__)}\n{_keys(law)}\nExamples: {', '.join(named[name])}.\n")
-    branches = "`viscous = { beta = [0.5], relaxation_s = [10.0] }` in `neo-hookean`, `mooney-rivlin` and `ogden`."
+    isotropic = ", ".join(f"`{name}`" for name, law in LAWS.items() if law in ISOTROPIC)
+    branches = f"`viscous = {{ beta = [0.5], relaxation_s = [10.0] }}` in {isotropic}."
     parts.append(f"## Viscous branches of isotropic laws\n\n{branches} {prose_of(Viscoelastic.__doc__)}")
     for title, types in PARTS.items():
         parts.append(f"## {title}\n")

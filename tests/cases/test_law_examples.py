@@ -47,7 +47,7 @@ def test_the_example_runs(path, tmp_path):
     assert list(history) == COLUMNS.split()
     assert all(len(column) == 5 and np.isfinite(column).all() for column in history.values())
     np.testing.assert_allclose(history["lambda_x"], [1.0, 1.15, 1.3, 1.15, 1.0])
-    assert history["sigma_x_kPa"][2] > 0.5
+    assert history["sigma_x_kPa"][2] > 0.1
     assert (np.diff(history["dissipation_kPa"]) >= 0.0).all()
 
 

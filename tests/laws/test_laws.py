@@ -17,11 +17,14 @@ from cicatrix.core.errors import InputError
 from cicatrix.materials.active import ActiveFibres, Contraction
 from cicatrix.materials.compose import Sum
 from cicatrix.materials.constituent import Constituent
+from cicatrix.materials.exponential import Exponential
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
 from cicatrix.materials.growing import AreaGrowth, FibreGrowth, Growing, Growth, VolumeGrowth
 from cicatrix.materials.growth import NaturalConfiguration
 from cicatrix.materials.holzapfel import HolzapfelGasserOgden
 from cicatrix.materials.incremental import IncrementalMaterial
+from cicatrix.materials.ligaments import Ligaments
+from cicatrix.materials.locking_skin import LockingSkin
 from cicatrix.materials.material import EnergyMaterial, Material
 from cicatrix.materials.may_newman import MayNewman
 from cicatrix.materials.mixture import ConstrainedMixture
@@ -70,6 +73,10 @@ TINY = 1e-6
 CASES = {
     # mu/2 (I1 - 3) = 2/2 * 0.25
     "NeoHookean": Case(TISSUE, 0.25, SIMPLE_SHEAR),
+    # mu/(2b) (exp(b (I1 - 3)) - 1) = 2/(2 * 2) (exp(2 * 0.25) - 1)
+    "Exponential": Case(Exponential(2.0, 2.0, 30.0), 0.5 * np.expm1(0.5), SIMPLE_SHEAR),
+    # mu/2 * 2 and one stretch beyond 1.2: mu_2/d (exp(d 0.8) - 1 - d 0.8), d = 2.5
+    "LockingSkin": Case(LockingSkin(2.0, 1.5, 2.5, 1.2, 30.0), 2.0 + 0.6 * (np.expm1(2.0) - 2.0), PULL, step=TINY),
     # c10 (I1 - 3) + c01 (I2 - 3), both 3.25 in simple shear: 1.5 * 0.25
     "MooneyRivlin": Case(MooneyRivlin(1.0, 0.5, 30.0), 0.375, SIMPLE_SHEAR),
     # 2 mu / alpha^2 (2^4 + 2 * 2^-2 - 3) = 4/16 * 13.5
@@ -105,6 +112,8 @@ CASES = {
         symmetries=(IN_PLANE, ACROSS),
         step=TINY,
     ),
+    # straight at 1.25, so stretched by 1.6: 2 % of mu_f / 2 (1.6^2 + 2/1.6 - 3)
+    "Ligaments": Case(Ligaments(0.02, 100.0, 1.25), 0.81, PULL, symmetries=(IN_PLANE, ACROSS), step=TINY),
     # all fibres of a plane stretched by 2: as before, and the branch adds half of it
     "viscous fibres": Case(
         FibreDistribution(2.0, VonMises(2.0, np.pi / 6, 8), Uniform(1.0, 1.4), FibreViscosity(0.5, 10.0, 12)),

@@ -82,6 +82,60 @@ def pulled(mu):
     return uniaxial(lambda stretch: mu * (stretch**2 - 1 / stretch))
 
 
+@pytest.mark.parametrize(
+    ("law", "true", "beside"),
+    [
+        ("exponential", {"mu_kPa": (0.1, 0.05, 2.0), "b": (2.0, 0.0, 20.0)}, []),
+        pytest.param(
+            "locking-skin",
+            {
+                "mu_kPa": (8.0, 0.1, 20.0),
+                "stiff_kPa": (43.0, 5.0, 200.0),
+                "steepness": (4.0, 1.0, 20.0),
+                "locking_stretch": (1.2, 1.05, 1.4),
+            },
+            [],
+            marks=pytest.mark.slow,
+        ),
+        pytest.param(
+            "ligaments",
+            {"stiffness_kPa": (40.0, 1.0, 300.0), "slack_stretch": (1.15, 1.0, 1.4)},
+            [{"type": "exponential", "mu_kPa": 0.1, "b": 2.0}],
+            marks=pytest.mark.slow,
+        ),
+    ],
+)
+def test_a_law_is_found_again_from_its_own_noisy_data(law, true, beside):
+    """Tension along x with a free y up to 1.5; noise of 0.3 % of the largest stress, three standard errors."""
+    share = {"share": 0.02} if law == "ligaments" else {}
+    made = case_of({"type": law, **share} | {key: value for key, (value, _, _) in true.items()}, *beside)
+    stretch = np.linspace(1.0, 1.5, 41)[1:]
+    exact = uniaxial_stress(law_of(made), stretch)
+    noise = 0.003 * exact.max()
+    noisy = exact + noise * np.random.default_rng(4).standard_normal(len(exact))
+    columns = {"time_h": np.arange(40.0), "lambda_x": stretch, "sigma_x_kPa": noisy}
+    start = case_of(
+        {"type": law, **share}
+        | {key: value + 0.3 * (0.5 * (low + value) - value) for key, (value, low, _) in true.items()},
+        *beside,
+    )
+    free = {f"law.0.{key}": (low, high) for key, (_, low, high) in true.items()}
+    found = fit(start, experiment(start.loading, Measurements(columns)), free)
+    values = np.array([value for value, _, _ in true.values()])
+    assert (np.abs(found.estimates - values) < 3 * found.standard_errors).all()
+    assert (found.standard_errors < 0.2 * values).all()
+    assert found.rms_kPa["sigma_x_kPa"] == pytest.approx(noise, rel=0.3)
+
+
+def uniaxial_stress(law, stretch):
+    """Return the Cauchy stress of incompressible tension: l dPsi/dl along diag(l, l^-1/2, l^-1/2), by central differences."""
+
+    def energy(l):
+        return np.asarray(law.energy(np.array([np.diag([x, x**-0.5, x**-0.5]) for x in l])))
+
+    return stretch * (energy(stretch + 1e-6) - energy(stretch - 1e-6)) / 2e-6
+
+
 def test_what_the_data_cannot_tell_apart_is_said():
     case = case_of({"type": "neo-hookean", "mu_kPa": 1.0}, {"type": "neo-hookean", "mu_kPa": 3.0})
     bounds = {"law.0.mu_kPa": (0.1, 9.0), "law.1.mu_kPa": (0.1, 9.0)}

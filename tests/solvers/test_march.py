@@ -12,10 +12,13 @@ from cicatrix.core.units import acceleration_mm_s2
 from cicatrix.materials.active import ActiveFibres, Contraction
 from cicatrix.materials.compose import Sum
 from cicatrix.materials.constituent import Constituent
+from cicatrix.materials.exponential import Exponential
 from cicatrix.materials.fibres import FibreDistribution, FibreViscosity
 from cicatrix.materials.growing import AreaGrowth, FibreGrowth, Growing, VolumeGrowth
 from cicatrix.materials.holzapfel import HolzapfelGasserOgden
 from cicatrix.materials.homogenised import Homogenised
+from cicatrix.materials.ligaments import Ligaments
+from cicatrix.materials.locking_skin import LockingSkin
 from cicatrix.materials.may_newman import MayNewman
 from cicatrix.materials.mixture import ConstrainedMixture
 from cicatrix.materials.mooney_rivlin import MooneyRivlin
@@ -44,6 +47,9 @@ COLLAGEN = Constituent(HolzapfelGasserOgden(0.0, 2.0, 0.5), 0.4, lifetime=20.0, 
 ELASTIN = Constituent(NeoHookean(5.0), 0.6)
 OTHERS = {  # with those above, one of every type that a case file may name
     "neo-hookean": GROUND,
+    "exponential": Exponential(2.0, 5.0, 100.0),
+    "locking-skin": LockingSkin(2.0, 30.0, 8.0, 1.05, 100.0),
+    "ligaments": Sum((GROUND, Ligaments(0.02, 100.0, 1.05, (1.0, 0.5, 0.0)))),
     "mooney-rivlin": MooneyRivlin(1.0, 0.5, 100.0),
     "ogden": Ogden(2.0, 4.0, 100.0),
     "holzapfel-gasser-ogden": HolzapfelGasserOgden(2.0, 1.5, 0.5, 0.1, 0.5, 100.0),

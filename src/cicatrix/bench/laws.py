@@ -16,10 +16,13 @@ from jax import Array
 from ..materials.active import ActiveFibres, Contraction
 from ..materials.chunked import chunked
 from ..materials.constituent import Constituent
+from ..materials.exponential import Exponential
 from ..materials.external import Answer, ExternalMaterial
 from ..materials.fibres import FibreDistribution, FibreViscosity
 from ..materials.growing import AreaGrowth, FibreGrowth, Growing
 from ..materials.holzapfel import HolzapfelGasserOgden
+from ..materials.ligaments import Ligaments
+from ..materials.locking_skin import LockingSkin
 from ..materials.material import EnergyMaterial, Material
 from ..materials.may_newman import MayNewman
 from ..materials.mixture import ConstrainedMixture
@@ -54,11 +57,14 @@ def measured_laws() -> dict[str, tuple[EnergyMaterial, int]]:
     fibres = FibreDistribution(5.0, plane, wavy)
     return {
         "neo-hookean": (tissue, N_CHEAP),
+        "exponential": (Exponential(MU, 2.0, KAPPA), N_CHEAP),
         "mooney-rivlin": (MooneyRivlin(1.0, 0.5, KAPPA), N_CHEAP),
         "ogden": (Ogden(MU, 4.0, KAPPA), N_COSTLY),
+        "locking-skin": (LockingSkin(MU, 43.0, 8.0, 1.05, KAPPA), N_COSTLY),
         "holzapfel-gasser-ogden": (HolzapfelGasserOgden(MU, 1.5, 0.5, 0.1, np.pi / 6, KAPPA), N_CHEAP),
         "may-newman": (MayNewman(0.5, 0.1, 0.2, 0.0, KAPPA), N_CHEAP),
         "fibre-distribution": (fibres, N_CHEAP),
+        "ligaments": (Ligaments(0.01, 40.0, 1.05), N_CHEAP),
         "active-fibres": (ActiveFibres(0.4, plane), N_CHEAP),
         "contraction": (Contraction(0.4), N_CHEAP),
         "constrained-mixture": (

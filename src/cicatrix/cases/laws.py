@@ -22,9 +22,12 @@ from ..core.law import Law
 from ..core.units import seconds_from_hours, unit_factor
 from ..materials.active import ActiveFibres, Contraction
 from ..materials.compose import Sum
+from ..materials.exponential import Exponential
 from ..materials.fibres import FibreDistribution
 from ..materials.growing import AreaGrowth, FibreGrowth, Growing, Growth, VolumeGrowth
 from ..materials.holzapfel import HolzapfelGasserOgden
+from ..materials.ligaments import Ligaments
+from ..materials.locking_skin import LockingSkin
 from ..materials.material import EnergyMaterial
 from ..materials.may_newman import MayNewman
 from ..materials.mixture import ConstrainedMixture
@@ -38,17 +41,26 @@ from .table import Table, one_of
 ANY = "_any_law"  # forward reference to a whole union of laws inside one of its tables; not a name of this module
 LAWS: dict[str, type[EnergyMaterial]] = {
     "neo-hookean": NeoHookean,
+    "exponential": Exponential,
     "mooney-rivlin": MooneyRivlin,
     "ogden": Ogden,
+    "locking-skin": LockingSkin,
     "holzapfel-gasser-ogden": HolzapfelGasserOgden,
     "may-newman": MayNewman,
     "fibre-distribution": FibreDistribution,
+    "ligaments": Ligaments,
     "active-fibres": ActiveFibres,
     "contraction": Contraction,
     "constrained-mixture": ConstrainedMixture,
 }
 GROWTHS: dict[str, type[Growth]] = {"fibre": FibreGrowth, "area": AreaGrowth, "volume": VolumeGrowth}
-ISOTROPIC = (NeoHookean, MooneyRivlin, Ogden)  # laws that can have Maxwell branches in parallel
+ISOTROPIC = (
+    NeoHookean,
+    Exponential,
+    MooneyRivlin,
+    Ogden,
+    LockingSkin,
+)  # laws that can have Maxwell branches in parallel
 
 
 _LISTED = BeforeValidator(lambda value: value if isinstance(value, list | tuple) else [value])

@@ -51,6 +51,32 @@ class Single(Orientation):
         return V, jnp.ones(V.shape[:-1])
 
 
+class Along(Orientation):
+    """All fibres along one direction in space, which may differ from point to point.
+
+    Parameters
+    ----------
+    direction : 3 floats or (...) arrays [1]
+        Components of a vector along the fibres, of any length but 0.
+    """
+
+    direction: tuple[float | Array, ...] = param("1", "a")
+
+    def __check_init__(self):
+        super().__check_init__()
+        if len(self.direction) != 3:
+            raise InputError(f"a direction must have three components; got {len(self.direction)}.")
+        known = all(isinstance(x, (int, float, np.ndarray)) for x in self.direction)
+        if known and not np.all(sum(np.square(np.asarray(x, float)) for x in self.direction) > 0.0):
+            raise InputError("the three components of a direction must not all be 0.")
+
+    def directions(self) -> tuple[Array, Array]:
+        """Return one unit vector (..., 1, 3) with weight 1."""
+        a = jnp.stack(jnp.broadcast_arrays(*(jnp.asarray(x, float) for x in self.direction)), axis=-1)
+        V = (a / jnp.sqrt(jnp.sum(a * a, axis=-1, keepdims=True)))[..., None, :]
+        return V, jnp.ones(V.shape[:-1])
+
+
 class VonMises(Orientation):
     r"""Fibres in the plane of the first two axes, with a von Mises density.
 
