@@ -13,7 +13,9 @@ import scipy.sparse as sp
 from jax import Array
 
 from ..core.ranks import Ranks
+from ..materials.compose import Sum
 from ..materials.material import Material
+from ..materials.neo_hookean import NeoHookean
 from ..numerics.compiler import COMPILER
 from ..numerics.host import own_exceptions
 from ..numerics.workers import in_order
@@ -35,7 +37,7 @@ from .elements import (
     tangent,
     volume_ratio,
 )
-from .fascia import Fascia, Springs, spring_energy, spring_force
+from .fascia import Fascia, Springs, reference_spring_tangent, spring_energy, spring_force, spring_tangent
 from .pattern import Pattern
 from .space import AnySpace, Space
 from .supports import Supports
@@ -221,6 +223,16 @@ class Body:
     def has_potential(self) -> bool:
         """True if forces derive from a potential, so that the tangent is symmetric: the law has one, and there is no pressure."""
         return self.pressure is None and self.law.has_potential()
+
+    def stiffened(self, factor: float) -> Body:
+        """Return a body whose tissue resists shear ``factor`` times as much at rest, as do the springs along its fascia.
+
+        A neo-Hookean part is added to the law, with none at a factor of 1: the law's own response stays as it is.
+        """
+        n, n_qp = self.density.shape
+        shear = np.broadcast_to(np.asarray(self.law.moduli_at_rest((n, n_qp))[0]), (n, n_qp))
+        law = Sum((self.law, NeoHookean((factor - 1.0) * shear)))
+        return replace(self, law=law, fascia=None if self.fascia is None else self.fascia.scaled(factor))
 
     def with_pressure_share(self, share: float) -> Body:
         """Return a body that differs only in its pressure, which is multiplied by ``share``."""
@@ -548,12 +560,12 @@ def _spring_forces(tables, X_wall, x_wall, springs):
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
 def _spring_tangents(tables, X_wall, x_wall, springs):
-    return tangent(lambda y: spring_force(X_wall, y, springs, tables.edge), x_wall)
+    return spring_tangent(X_wall, x_wall, springs, tables.edge)
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)
 def _reference_spring_tangents(tables, X_wall, x_wall, springs):
-    return tangent(lambda Y: spring_force(Y, x_wall, springs, tables.edge), X_wall)
+    return reference_spring_tangent(X_wall, x_wall, springs, tables.edge)
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=COMPILER)

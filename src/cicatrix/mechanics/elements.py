@@ -526,13 +526,13 @@ def facet_force(X: Array, x: Array, membrane: Membrane, table: Table) -> Array:
 
 
 def tangent(force, x: Array) -> Array:
-    """Return the derivative of element forces with respect to node positions: x (n, a, 3) [mm] -> (n, 3a, 3a) [mN/mm^2].
+    """Return the derivative of element forces with respect to node positions: x (n, a, 3) [mm] -> (n, m, 3a) [mN/mm^2].
 
-    ``force`` is a function (n, a, 3) [mm] -> (n, a, 3) [mN/mm].
+    ``force`` is a function (n, a, 3) [mm] -> (n, a, 3) [mN/mm], with m = 3a components; or to other values (n, m).
 
     Elements are independent, so one directional derivative per node component serves the whole batch.
     """
     n, a, c = x.shape
     directions = jnp.eye(a * c).reshape(a * c, a, c)
     columns = jax.vmap(lambda d: jax.jvp(force, (x,), (jnp.broadcast_to(d, x.shape),))[1])(directions)
-    return jnp.moveaxis(columns.reshape(a * c, n, a * c), 0, -1)
+    return jnp.moveaxis(columns.reshape(a * c, n, -1), 0, -1)

@@ -33,6 +33,7 @@ ZERO_DISPLACEMENT = 1e-13  # displacements below this, relative to body size, ar
 RIGID_MOTION_WEIGHT = 1e-6  # weight in the load scale of the forces that move the supports alone, for rigid motions
 SADDLE_PERTURBATION = 1e-4  # perturbation at a saddle point, relative to body size
 BEFORE_BUCKLING = 0.8  # where a shape is kept, on the way from the last one to the load at which the body buckles
+STIFFER = 20.0  # how much stiffer a body is made that does not come through at once
 MAX_SADDLES = 6  # largest number of saddle points that a minimisation may leave
 
 
@@ -244,7 +245,9 @@ class Equilibrium:
 
         return _Path(problem.x, advance)
 
-    def unloaded(self, body: Body, x: np.ndarray, gravity: np.ndarray) -> tuple[np.ndarray, NewtonReport]:
+    def unloaded(
+        self, body: Body, x: np.ndarray, gravity: np.ndarray, start: np.ndarray | None = None
+    ) -> tuple[np.ndarray, NewtonReport]:
         """Solve for the unloaded shape of a body whose loaded shape is known.
 
         The discrete equilibrium equations are those of ``loaded``, solved for the reference positions (inverse
@@ -257,6 +260,10 @@ class Equilibrium:
             As for ``loaded``.
         x : (n_nodes, 3) array [mm]
             Loaded positions, as imaged.
+        start : (n_nodes, 3) array [mm], optional
+            Unloaded positions of a similar body, from which the whole load is tried first. Then, and without it, the loads are
+            ramped up from the loaded shape; if that fails, the body is first made stiffer and then softened under the
+            whole load (:meth:`_softened`).
 
         Raises
         ------
@@ -265,20 +272,24 @@ class Equilibrium:
         """
         report = NewtonReport(tell=self.tell)
 
-        def advance(X: np.ndarray, factor: float) -> np.ndarray:
+        def solved(body: Body, X: np.ndarray, factor: float) -> np.ndarray:
             problem = Problem(body, x, X, gravity, gravity, inverse=True)
-            return self._newton(
-                replace(problem, other_loads_norm=problem.pressure_load_norm).with_load_share(factor, X), report
-            )
+            norm = problem.pressure_load_norm
+            return self._newton(replace(problem, other_loads_norm=norm).with_load_share(factor, X), report)
 
-        by_load = _Path(x, advance)
-        try:
-            X = ramp(
-                by_load.advance, x, report, max_iterations=300
-            )  # slender breasts sag far and need many small steps
-        except ConvergenceError as error:
-            problem = Problem(body, x, by_load.reached, gravity, gravity, inverse=True)
-            raise _failure(problem, by_load, None, report.history) from error
+        def by_load(body: Body) -> _Path:
+            return _Path(x, lambda X, factor: solved(body, X, factor))
+
+        X = self._from_similar(lambda X: solved(body, X, 1.0), start, report)
+        if X is None:
+            path = by_load(body)
+            try:  # slender breasts sag far and need many small steps
+                X = ramp(path.advance, x, report, max_iterations=300)
+            except ConvergenceError as error:
+                X = self._softened(body, by_load, solved, report)
+                if X is None:
+                    problem = Problem(body, x, path.reached, gravity, gravity, inverse=True)
+                    raise _failure(problem, path, None, report.history) from error
         problem = Problem(body, X, x, gravity, gravity)
         if problem.is_symmetric:
             tangent = problem.linearised(problem.unknowns(x), body.volume_ratio(X, x))
@@ -286,6 +297,41 @@ class Equilibrium:
         if not report.is_stable:
             report.history.append("the known shape is not a stable equilibrium: loading again gives another shape")
         return X, report
+
+    def _from_similar(
+        self, solve: Callable[[np.ndarray], np.ndarray], start: np.ndarray | None, report: NewtonReport
+    ) -> np.ndarray | None:
+        """Return the solution found from the shape of a similar body (n_nodes, 3) [mm]; None without one, or if that fails."""
+        if start is None:
+            return None
+        try:
+            return solve(start)
+        except ConvergenceError as error:
+            report.history.append(f"from the shape of a similar body: {(error.history or [error])[-1]}")
+            return None
+
+    def _softened(
+        self,
+        body: Body,
+        by_load: Callable[[Body], _Path],
+        solved: Callable[[Body, np.ndarray, float], np.ndarray],
+        report: NewtonReport,
+    ) -> np.ndarray | None:
+        """Return the unloaded shape reached by softening a stiffer body under the whole load; None if that fails.
+
+        The shear stiffness is raised by the factor ``STIFFER`` and lowered in steps that are equal in its logarithm. The
+        bulk modulus stays, so this is another path than that of the load.
+        """
+        report.history.append(f"with tissue {STIFFER:g} times as stiff, softened under the whole load")
+        stiff = by_load(body.stiffened(STIFFER))
+        try:
+            X = ramp(stiff.advance, stiff.reached, report, max_iterations=300)
+            return ramp(
+                lambda X, share: solved(body.stiffened(STIFFER ** (1.0 - share)), X, 1.0),
+                X, report, smallest=1 / 128, first=1 / 6, max_iterations=600,
+            )  # fmt: skip
+        except ConvergenceError:
+            return None
 
     def _newton(self, problem: Problem, report: NewtonReport) -> np.ndarray:
         """Solve by Newton's method for positions and volume ratios J_bar; return the positions (n_nodes, 3) [mm].

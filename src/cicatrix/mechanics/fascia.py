@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from jax import Array
 
 from ..core.errors import InputError
 from ..geometry.distance import Distance
+from .elements import tangent
 from .space import Table
 
 NORMAL_KPA_PER_MM = (
@@ -75,24 +77,66 @@ class Springs(NamedTuple):
 
 def spring_energy(X: Array, x: Array, springs: Springs, table: Table) -> Array:
     """Return the energy of each facet, per depth: X, x (n, 3 or 6, 3) [mm], edges or faces -> (n,) [mN]."""
-    here, there = (jnp.einsum("eai,qa->eqi", y, table.value) for y in (X, x))
-    stretched = springs.wall.at(there) - springs.wall.at(here)
-    moved = jnp.sum((there - here) ** 2, axis=-1)
-    density = 0.5 * springs.normal * stretched**2 + 0.5 * springs.along[:, None] * moved
-    return jnp.asarray(jnp.sum(table.weight * _extent(X, table) * density, axis=-1))
-
-
-def _extent(X: Array, table: Table) -> Array:
-    """Return the length element of edges [mm], or the area element of faces [mm^2]: (n, 3 or 6, 3) [mm] -> (n, n_qp)."""
-    tangents = jnp.einsum("eai,qab->eqib", X, table.gradient)
-    if tangents.shape[-1] == 1:
-        return jnp.sqrt(jnp.sum(tangents[..., :2, 0] ** 2, axis=-1))
-    normal = jnp.cross(tangents[..., 0], tangents[..., 1])
-    return jnp.sqrt(jnp.sum(normal**2, axis=-1))
+    density = _density(_at_points(X, table), _at_points(x, table), springs)
+    return jnp.asarray(jnp.sum(_extents(X, table) * density, axis=-1))
 
 
 def spring_force(X: Array, x: Array, springs: Springs, table: Table) -> Array:
     """Return the forces of the springs at the nodes, per depth: X, x (n, 3 or 6, 3) [mm] -> same shape [mN/mm]."""
-    if not len(X):
-        return jnp.zeros_like(x)
-    return jax.grad(lambda y: jnp.sum(spring_energy(X, y, springs, table)))(x)
+    traction = _traction(_at_points(X, table), _at_points(x, table), springs)
+    return jnp.einsum("eq,eqi,qa->eai", _extents(X, table), traction, table.value)
+
+
+def spring_tangent(X: Array, x: Array, springs: Springs, table: Table) -> Array:
+    """Return the derivative of the forces with respect to x: (n, a, 3) [mm] twice -> (n, 3a, 3a) [mN/mm^2]."""
+    here, there = _at_points(X, table), _at_points(x, table)
+    rate = _derivative(lambda p: _traction(here, p, springs), there)
+    return _to_nodes(_extents(X, table), rate, table)
+
+
+def reference_spring_tangent(X: Array, x: Array, springs: Springs, table: Table) -> Array:
+    """Return the derivative of the forces with respect to X: (n, a, 3) [mm] twice -> (n, 3a, 3a) [mN/mm^2]."""
+    here, there = _at_points(X, table), _at_points(x, table)
+    rate = _derivative(lambda p: _traction(p, there, springs), here)
+    lever = jnp.einsum("eqi,qa->eqai", _traction(here, there, springs), table.value)
+    swept = tangent(lambda Y: _extents(Y, table), X)
+    grown = jnp.einsum("eqai,eqm->eaim", lever, swept).reshape(len(X), 3 * X.shape[1], -1)
+    return _to_nodes(_extents(X, table), rate, table) + grown
+
+
+def _at_points(X: Array, table: Table) -> Array:
+    """Return the positions of the quadrature points of facets: (n, a, 3) -> (n, n_qp, 3) [mm]."""
+    return jnp.einsum("eai,qa->eqi", X, table.value)
+
+
+def _density(here: Array, there: Array, springs: Springs) -> Array:
+    """Return the energy per reference area at points: their places at rest and now (n, n_qp, 3) [mm] -> (n, n_qp) [kPa mm]."""
+    lifted = springs.wall.at(there) - springs.wall.at(here)
+    slid = jnp.sum((there - here) ** 2, axis=-1)
+    return 0.5 * springs.normal * lifted**2 + 0.5 * springs.along[:, None] * slid
+
+
+def _traction(here: Array, there: Array, springs: Springs) -> Array:
+    """Return the force of the springs per reference area at points: two (n, n_qp, 3) [mm] -> (n, n_qp, 3) [kPa]."""
+    return jax.grad(lambda p: jnp.sum(_density(here, p, springs)))(there)
+
+
+def _derivative(function: Callable[[Array], Array], points: Array) -> Array:
+    """Return the derivative of a vector at each point with respect to that point: points (n, n_qp, 3) -> (n, n_qp, 3, 3)."""
+    along = [jax.jvp(function, (points,), (jnp.broadcast_to(axis, points.shape),))[1] for axis in np.eye(3)]
+    return jnp.stack(along, axis=-1)
+
+
+def _to_nodes(extents: Array, rate: Array, table: Table) -> Array:
+    """Return the matrices of facets from the derivatives of the traction (n, n_qp, 3, 3): -> (n, 3a, 3a)."""
+    n, a = len(rate), table.value.shape[1]
+    return jnp.einsum("eq,eqij,qa,qb->eaibj", extents, rate, table.value, table.value).reshape(n, 3 * a, 3 * a)
+
+
+def _extents(X: Array, table: Table) -> Array:
+    """Return the length [mm] or area [mm^2] of the quadrature points of edges or faces: (n, 3 or 6, 3) [mm] -> (n, n_qp)."""
+    tangents = jnp.einsum("eai,qab->eqib", X, table.gradient)
+    if tangents.shape[-1] == 1:
+        return table.weight * jnp.sqrt(jnp.sum(tangents[..., :2, 0] ** 2, axis=-1))
+    normal = jnp.cross(tangents[..., 0], tangents[..., 1])
+    return table.weight * jnp.sqrt(jnp.sum(normal**2, axis=-1))
