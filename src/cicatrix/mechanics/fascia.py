@@ -113,7 +113,7 @@ def _density(here: Array, there: Array, springs: Springs) -> Array:
     """Return the energy per reference area at points: their places at rest and now (n, n_qp, 3) [mm] -> (n, n_qp) [kPa mm]."""
     lifted = springs.wall.at(there) - springs.wall.at(here)
     slid = jnp.sum((there - here) ** 2, axis=-1)
-    return 0.5 * springs.normal * lifted**2 + 0.5 * springs.along[:, None] * slid
+    return jnp.asarray(0.5 * springs.normal * lifted**2 + 0.5 * springs.along[:, None] * slid)
 
 
 def _traction(here: Array, there: Array, springs: Springs) -> Array:
@@ -137,6 +137,6 @@ def _extents(X: Array, table: Table) -> Array:
     """Return the length [mm] or area [mm^2] of the quadrature points of edges or faces: (n, 3 or 6, 3) [mm] -> (n, n_qp)."""
     tangents = jnp.einsum("eai,qab->eqib", X, table.gradient)
     if tangents.shape[-1] == 1:
-        return table.weight * jnp.sqrt(jnp.sum(tangents[..., :2, 0] ** 2, axis=-1))
+        return jnp.asarray(table.weight * jnp.sqrt(jnp.sum(tangents[..., :2, 0] ** 2, axis=-1)))
     normal = jnp.cross(tangents[..., 0], tangents[..., 1])
-    return table.weight * jnp.sqrt(jnp.sum(normal**2, axis=-1))
+    return jnp.asarray(table.weight * jnp.sqrt(jnp.sum(normal**2, axis=-1)))
