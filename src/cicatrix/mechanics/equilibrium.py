@@ -19,11 +19,10 @@ from .failure import (
     NEARLY_SOLVED,
     NoEquilibriumError,
     buckling_share,
-    explanation,
-    load_words,
     rounding,
 )
 from .problem import Problem, Tangent
+from .unloading import LoadPath, Unloading, failure
 
 SMALLEST_STEP = 0.25  # smallest load step, as a fraction of the load; below it, minimising the energy is cheaper
 REUSE_BELOW = 0.05  # under gravity alone, reuse the tangent if the last step reduced the residual below this fraction
@@ -33,7 +32,6 @@ ZERO_DISPLACEMENT = 1e-13  # displacements below this, relative to body size, ar
 RIGID_MOTION_WEIGHT = 1e-6  # weight in the load scale of the forces that move the supports alone, for rigid motions
 SADDLE_PERTURBATION = 1e-4  # perturbation at a saddle point, relative to body size
 BEFORE_BUCKLING = 0.8  # where a shape is kept, on the way from the last one to the load at which the body buckles
-STIFFER = 20.0  # how much stiffer a body is made that does not come through at once
 MAX_SADDLES = 6  # largest number of saddle points that a minimisation may leave
 
 
@@ -143,7 +141,7 @@ class Equilibrium:
             problem,
             other_loads_norm=np.hypot(problem.pressure_load_norm, self._reaction(problem, prescribed_positions)),
         )
-        by_load = _Path(
+        by_load = LoadPath(
             problem.x,
             lambda x, load: self._newton(
                 self._predicted(problem.with_load_share(load, x), load, prescribed_positions), report
@@ -179,7 +177,7 @@ class Equilibrium:
             return found, report
         raise self._no_equilibrium(problem, by_load, report, last_lines) from failure
 
-    def _in_smaller_steps(self, problem: Problem, by_load: _Path, report: NewtonReport) -> np.ndarray | None:
+    def _in_smaller_steps(self, problem: Problem, by_load: LoadPath, report: NewtonReport) -> np.ndarray | None:
         """Go on along the path in smaller steps; return the shape at its end (n_nodes, 3) [mm], or None if that fails."""
         if problem.supports.n_unknowns > MAX_UNKNOWNS:
             return None
@@ -191,7 +189,7 @@ class Equilibrium:
         return None
 
     def _no_equilibrium(
-        self, problem: Problem, by_load: _Path, report: NewtonReport, last_lines: list[str]
+        self, problem: Problem, by_load: LoadPath, report: NewtonReport, last_lines: list[str]
     ) -> NoEquilibriumError:
         """Return the error for a body without equilibrium under the whole load, with its cause and its last stable shape."""
         critical = None
@@ -201,7 +199,7 @@ class Equilibrium:
             with contextlib.suppress(ConvergenceError):
                 nearer = by_load.share + BEFORE_BUCKLING * (min(critical, 1.0) - by_load.share)
                 by_load.advance(by_load.reached, nearer)
-        failed = _failure(problem, by_load, critical, report.history + last_lines)
+        failed = failure(problem, by_load, critical, report.history + last_lines)
         residual = min(report.norms, default=np.inf) / problem.weight if problem.weight else np.inf
         if by_load.share == 0.0 and self.relative_tolerance < residual < NEARLY_SOLVED:
             return NoEquilibriumError(*rounding(residual), failed.history, by_load.reached, 0.0)
@@ -236,14 +234,14 @@ class Equilibrium:
         norms = [float(np.linalg.norm(problem.directional_derivative(moved))) for moved in (followed, displacement)]
         return norms[0] + RIGID_MOTION_WEIGHT * norms[1]
 
-    def _homotopy(self, problem: Problem, report: NewtonReport) -> _Path:
+    def _homotopy(self, problem: Problem, report: NewtonReport) -> LoadPath:
         """Return the path that starts at the initial guess of the problem and along which the residual is reduced to zero."""
 
         def advance(x: np.ndarray, share: float) -> np.ndarray:
             residual_offset = (1.0 - share) * problem.out_of_balance if share < 1.0 else 0.0
             return self._newton(replace(problem, x=x, residual_offset=residual_offset), report)
 
-        return _Path(problem.x, advance)
+        return LoadPath(problem.x, advance)
 
     def unloaded(
         self, body: Body, x: np.ndarray, gravity: np.ndarray, start: np.ndarray | None = None
@@ -261,9 +259,8 @@ class Equilibrium:
         x : (n_nodes, 3) array [mm]
             Loaded positions, as imaged.
         start : (n_nodes, 3) array [mm], optional
-            Unloaded positions of a similar body, from which the whole load is tried first. Then, and without it, the loads are
-            ramped up from the loaded shape; if that fails, the body is first made stiffer and then softened under the
-            whole load (:meth:`_softened`).
+            Unloaded positions of a similar body, such as another draw of the tissue. The ways to the solution are those of
+            :mod:`.unloading`.
 
         Raises
         ------
@@ -271,25 +268,7 @@ class Equilibrium:
             As for ``loaded``; its shape is an unloaded one.
         """
         report = NewtonReport(tell=self.tell)
-
-        def solved(body: Body, X: np.ndarray, factor: float) -> np.ndarray:
-            problem = Problem(body, x, X, gravity, gravity, inverse=True)
-            norm = problem.pressure_load_norm
-            return self._newton(replace(problem, other_loads_norm=norm).with_load_share(factor, X), report)
-
-        def by_load(body: Body) -> _Path:
-            return _Path(x, lambda X, factor: solved(body, X, factor))
-
-        X = self._from_similar(lambda X: solved(body, X, 1.0), start, report)
-        if X is None:
-            path = by_load(body)
-            try:  # slender breasts sag far and need many small steps
-                X = ramp(path.advance, x, report, max_iterations=300)
-            except ConvergenceError as error:
-                X = self._softened(body, by_load, solved, report)
-                if X is None:
-                    problem = Problem(body, x, path.reached, gravity, gravity, inverse=True)
-                    raise _failure(problem, path, None, report.history) from error
+        X = Unloading(body, x, gravity, self._newton, report).solve(start)
         problem = Problem(body, X, x, gravity, gravity)
         if problem.is_symmetric:
             tangent = problem.linearised(problem.unknowns(x), body.volume_ratio(X, x))
@@ -297,41 +276,6 @@ class Equilibrium:
         if not report.is_stable:
             report.history.append("the known shape is not a stable equilibrium: loading again gives another shape")
         return X, report
-
-    def _from_similar(
-        self, solve: Callable[[np.ndarray], np.ndarray], start: np.ndarray | None, report: NewtonReport
-    ) -> np.ndarray | None:
-        """Return the solution found from the shape of a similar body (n_nodes, 3) [mm]; None without one, or if that fails."""
-        if start is None:
-            return None
-        try:
-            return solve(start)
-        except ConvergenceError as error:
-            report.history.append(f"from the shape of a similar body: {(error.history or [error])[-1]}")
-            return None
-
-    def _softened(
-        self,
-        body: Body,
-        by_load: Callable[[Body], _Path],
-        solved: Callable[[Body, np.ndarray, float], np.ndarray],
-        report: NewtonReport,
-    ) -> np.ndarray | None:
-        """Return the unloaded shape reached by softening a stiffer body under the whole load; None if that fails.
-
-        The shear stiffness is raised by the factor ``STIFFER`` and lowered in steps that are equal in its logarithm. The
-        bulk modulus stays, so this is another path than that of the load.
-        """
-        report.history.append(f"with tissue {STIFFER:g} times as stiff, softened under the whole load")
-        stiff = by_load(body.stiffened(STIFFER))
-        try:
-            X = ramp(stiff.advance, stiff.reached, report, max_iterations=300)
-            return ramp(
-                lambda X, share: solved(body.stiffened(STIFFER ** (1.0 - share)), X, 1.0),
-                X, report, smallest=1 / 128, first=1 / 6, max_iterations=600,
-            )  # fmt: skip
-        except ConvergenceError:
-            return None
 
     def _newton(self, problem: Problem, report: NewtonReport) -> np.ndarray:
         """Solve by Newton's method for positions and volume ratios J_bar; return the positions (n_nodes, 3) [mm].
@@ -425,27 +369,6 @@ def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:
             f"{len(turned)} elements are inverted, the first at {where}: the load there is more than the tissue can carry.",
             [f"{len(turned)} inverted elements, the first at {where}"],
         )
-
-
-def _failure(problem: Problem, by_load: _Path, critical: float | None, history: list[str]) -> NoEquilibriumError:
-    cause, remedy = explanation(problem, by_load.reached, by_load.share, critical, history)
-    return NoEquilibriumError(cause, remedy, history, by_load.reached, by_load.share, load_words(problem))
-
-
-class _Path:
-    """Sequence of problems that ends at the required equilibrium; ``reached`` is the last solution, ``share`` its place.
-
-    ``advance(x, share)`` solves the problem at a fraction ``share`` of the path, starting from x (n_nodes, 3) [mm].
-    """
-
-    def __init__(self, start: np.ndarray, advance: Callable[[np.ndarray, float], np.ndarray]) -> None:
-        self.reached, self.share, self._advance = start, 0.0, advance
-
-    def advance(self, x: np.ndarray, share: float) -> np.ndarray:
-        """Solve at a fraction ``share`` of the path, starting from x; return and store the solution, both (n_nodes, 3) [mm]."""
-        self.reached = self._advance(x, share)
-        self.share = share
-        return self.reached
 
 
 class _FrozenTangent:
