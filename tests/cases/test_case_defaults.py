@@ -21,8 +21,8 @@ def test_changed_value_is_not_given_the_source_of_the_default():
 
 
 def test_defaults_follow_their_sources():
-    assert value_at(CASE, "tissue.scar.E_kPa") == pytest.approx(6.2833, abs=1e-4)  # 3.25 * 29 / 15 by hand
-    assert value_at(CASE, "tissue.tumour.E_kPa") == pytest.approx(19.44)
+    assert value_at(CASE, "tissue.scar.E_kPa") == pytest.approx(0.58)  # 0.3 * 29 / 15 by hand
+    assert value_at(CASE, "tissue.tumour.E_kPa") == pytest.approx(2.16)  # 6 * 1.2 * 0.3
     assert CASE.days_per_step == 0.625  # 15 h
 
 

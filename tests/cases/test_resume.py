@@ -8,8 +8,9 @@ import time
 from pathlib import Path
 
 import pytest
+from coarse_lumpectomy import STIFF_TISSUE
 
-CASE = """
+CASE = f"""
 kind = "lumpectomy"
 dimension = 2
 [image]
@@ -25,6 +26,7 @@ positions = ["upright", "supine"]
 visits_weeks = [2, 6]
 [coupling]
 days_per_cycle = 10.0
+{STIFF_TISSUE}
 """
 
 

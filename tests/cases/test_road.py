@@ -4,12 +4,12 @@ import json
 
 import numpy as np
 import pytest
-from coarse_lumpectomy import write_labels
+from coarse_lumpectomy import STIFF_TISSUE, write_labels
 
 import cicatrix
 from cicatrix.files.segmentations import read_labels
 
-CASE = """
+CASE = f"""
 kind = "lumpectomy"
 dimension = 2
 [image]
@@ -22,6 +22,7 @@ cavity_edge_mm = 2.0
 [outcome]
 positions = ["upright"]
 visits_weeks = [2]
+{STIFF_TISSUE}
 """
 
 

@@ -10,6 +10,7 @@ import shutil
 import meshio
 import numpy as np
 import pytest
+from coarse_lumpectomy import STIFF_TISSUE
 
 import cicatrix
 from cicatrix.core.errors import InputError
@@ -24,7 +25,7 @@ from cicatrix.runs.results import open_run
 
 pytestmark = pytest.mark.xdist_group("solid road")  # healed once
 
-CASE = """
+CASE = f"""
 kind = "lumpectomy"
 dimension = 3
 [image]
@@ -45,6 +46,7 @@ relative_tolerance = 1e-6
 [outcome]
 positions = ["prone"]
 visits_weeks = []
+{STIFF_TISSUE}
 """
 RADIUS, VOXEL = 30.0, 2.0  # mm
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from coarse_lumpectomy import stiff_tissue
 
 from cicatrix.cases.continuum import ParametersTable
 from cicatrix.core.units import seconds_from_days
@@ -16,9 +17,6 @@ from cicatrix.kinds.lumpectomy.case import (
     MeshTable,
     OutcomeTable,
     ResectionTable,
-    ScarTable,
-    TissueTable,
-    TumourTable,
 )
 from cicatrix.mechanics.equilibrium import Equilibrium
 
@@ -38,7 +36,7 @@ def case_of(mode="two-way", deposition="unloaded", **parameters):
             parameters=ParametersTable(**parameters),
             time_tolerance=1e-2,
         ),
-        tissue=TissueTable(tumour=TumourTable(E_kPa=3.25, density_kg_m3=930.0), scar=ScarTable(density_kg_m3=930.0)),
+        tissue=stiff_tissue(tumour={"E_kPa": 3.25, "density_kg_m3": 930.0}, scar={"density_kg_m3": 930.0}),
         coupling=CouplingTable(mode=mode, days_per_cycle=3.5),
         mesh=MeshTable(edge_mm=8.0, cavity_edge_mm=3.0),
         outcome=OutcomeTable(visits_weeks=(1.0,)),

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from coarse_lumpectomy import stiff_tissue
 
 from cicatrix.coupling.cycle import run
 from cicatrix.coupling.deposition import Deposition
@@ -29,6 +30,7 @@ N_CYCLES = 3
 def case_of(mode="two-way", feedback=1.0, seed=1, p_layer=0.015, **healing):
     return LumpectomyCase(
         image=ImageTable(labels="not-read.nii"),
+        tissue=stiff_tissue(),
         resection=ResectionTable(radius_mm=5.0),
         healing=HealingTable(pitch_um=200.0, feedback=feedback, p_layer=p_layer, **healing),
         coupling=CouplingTable(mode=mode, days_per_cycle=12.5),

@@ -5,6 +5,7 @@ from typing import get_args
 
 import numpy as np
 import pytest
+from coarse_lumpectomy import stiff_tissue
 from scipy.spatial import cKDTree
 
 from cicatrix.coupling.cavity import Cavity
@@ -84,6 +85,7 @@ def healed(model, shapes):
     """The cycle, and its states from the fresh wound on."""
     case = LumpectomyCase(
         image=ImageTable(labels="not-read.nii"),
+        tissue=stiff_tissue(),
         resection=ResectionTable(radius_mm=RADIUS_MM),
         healing=HealingTable(pitch_um=200.0),
         coupling=CouplingTable(days_per_cycle=DAYS),

@@ -91,6 +91,38 @@ FAULTS = {
     "negative nu": ("[tissue.skin]\nnu = -0.1", "tissue.skin.nu must be at least 0 and below 0.5; got -0.1"),
     "negative stiffness": ("[tissue.gland]\nE_kPa = -1.0", "tissue.gland.E_kPa must be above 0; got -1.0"),
     "infinite stiffness": ("[tissue.scar]\nE_kPa = inf", "tissue.scar.E_kPa must be a finite number; got inf"),
+    "negative stiffening": (
+        "[tissue.fat]\nstiffening = -1.0",
+        "tissue.fat.stiffening must be at least 0; got -1.0",
+    ),
+    "no prestretch": (
+        "[tissue.skin]\nprestretch = 0.0",
+        "tissue.skin.prestretch must be above 0; got 0.0",
+    ),
+    "skin that locks before it is stretched": (
+        "[tissue.skin]\nlocking_stretch = 0.9",
+        "tissue.skin.locking_stretch must be at least 1 and at most 10; got 0.9",
+    ),
+    "negative steepness": (
+        "[tissue.skin]\nsteepness = -8.0",
+        "tissue.skin.steepness must be at least 0.01 and at most 200; got -8.0",
+    ),
+    "negative stiffness of locked skin": (
+        "[tissue.skin]\nstiff_kPa = -1.0",
+        "tissue.skin.stiff_kPa must be at least 0; got -1.0",
+    ),
+    "too many ligaments": (
+        "[tissue.ligaments]\nshare = 0.05",
+        "tissue.ligaments.share must be at most 0.02; got 0.05",
+    ),
+    "ligaments that are never slack": (
+        "[tissue.ligaments]\nslack_stretch = 0.5",
+        "tissue.ligaments.slack_stretch must be at least 1 and at most 10; got 0.5",
+    ),
+    "negative bulk modulus": (
+        "[tissue]\nleast_bulk_modulus_kPa = -1.0",
+        "tissue.least_bulk_modulus_kPa must be at least 0; got -1.0",
+    ),
     "radius zero": ("[resection]\nradius_mm = 0", "resection.radius_mm must be above 0; got 0"),
     "negative margin": ("[resection]\nmargin_mm = -1", "resection.margin_mm must be at least 0; got -1"),
     "flat centre": ("[resection]\ncentre_mm = [1, 2]", "resection.centre_mm must be a list of 3 numbers; got [1, 2]"),
@@ -126,7 +158,7 @@ FAULTS = {
     "visits": ("[outcome]\nvisits_weeks = [6, 2]", "outcome.visits_weeks must ascend; got [6, 2]"),
     "position": (
         '[outcome]\npositions = ["flat"]',
-        'outcome.positions[0] must be "prone", "supine" or "upright"; got "flat"',
+        'outcome.positions[0] must be "prone", "supine", "supine-arms-up", "upright" or "lateral"; got "flat"',
     ),
     "text for number": ('[run]\nmax_weeks = "long"', 'run.max_weeks must be a number; got "long"'),
     "fraction for count": ("[run]\nseed = 1.5", "run.seed must be a whole number; got 1.5"),
@@ -146,7 +178,7 @@ FAULTS = {
     ),
     "no position": (
         "[outcome]\npositions = []",
-        'outcome.positions must name at least one of "upright", "supine", "prone"',
+        'outcome.positions must name at least one of "prone", "supine", "supine-arms-up", "upright", "lateral"',
     ),
 }
 

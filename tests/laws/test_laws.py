@@ -75,8 +75,13 @@ CASES = {
     "NeoHookean": Case(TISSUE, 0.25, SIMPLE_SHEAR),
     # mu/(2b) (exp(b (I1 - 3)) - 1) = 2/(2 * 2) (exp(2 * 0.25) - 1)
     "Exponential": Case(Exponential(2.0, 2.0, 30.0), 0.5 * np.expm1(0.5), SIMPLE_SHEAR),
-    # mu/2 * 2 and one stretch beyond 1.2: mu_2/d (exp(d 0.8) - 1 - d 0.8), d = 2.5
-    "LockingSkin": Case(LockingSkin(2.0, 1.5, 2.5, 1.2, 30.0), 2.0 + 0.6 * (np.expm1(2.0) - 2.0), PULL, step=TINY),
+    # mu/2 * 2 and one stretch beyond 1.2 +- 0.2: mu_2 (G(1.0) - G(0.6)) / 0.4, G(x) = (exp(y) - 1 - y - y^2/2) / d^2, y = d x
+    "LockingSkin": Case(
+        LockingSkin(2.0, 1.5, 2.5, 1.2, 0.2, 30.0),
+        2.0 + 1.5 / 0.4 * (np.expm1(2.5) - 2.5 - 3.125 - np.expm1(1.5) + 1.5 + 1.125) / 6.25,
+        PULL,
+        step=TINY,
+    ),
     # c10 (I1 - 3) + c01 (I2 - 3), both 3.25 in simple shear: 1.5 * 0.25
     "MooneyRivlin": Case(MooneyRivlin(1.0, 0.5, 30.0), 0.375, SIMPLE_SHEAR),
     # 2 mu / alpha^2 (2^4 + 2 * 2^-2 - 3) = 4/16 * 13.5
@@ -112,8 +117,10 @@ CASES = {
         symmetries=(IN_PLANE, ACROSS),
         step=TINY,
     ),
-    # straight at 1.25, so stretched by 1.6: 2 % of mu_f / 2 (1.6^2 + 2/1.6 - 3)
-    "Ligaments": Case(Ligaments(0.02, 100.0, 1.25), 0.81, PULL, symmetries=(IN_PLANE, ACROSS), step=TINY),
+    # straight at 1 to 1.1: 2 % of mu_f / 2 (4 / (1.0 * 1.1) + 2 * 1.05 / 2 - 3)
+    "Ligaments": Case(
+        Ligaments(0.02, 100.0, 1.05, 0.05), 4 / 1.1 - 1.95, PULL, symmetries=(IN_PLANE, ACROSS), step=TINY
+    ),
     # all fibres of a plane stretched by 2: as before, and the branch adds half of it
     "viscous fibres": Case(
         FibreDistribution(2.0, VonMises(2.0, np.pi / 6, 8), Uniform(1.0, 1.4), FibreViscosity(0.5, 10.0, 12)),
@@ -338,7 +345,7 @@ def test_free_of_stress_at_rest(case, law):
 def test_energy_is_least_at_rest(case, law):
     if case.at_rest:
         assert np.abs(law.energy(everywhere(case.natural), law.initial)).max() < 1e-12
-        assert (np.asarray(law.energy(F, law.initial)) >= 0).all()
+        assert (np.asarray(law.energy(F, law.initial)) >= -1e-14).all()  # round-off
 
 
 def test_number_by_hand(case, law):

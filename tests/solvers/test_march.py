@@ -48,8 +48,8 @@ ELASTIN = Constituent(NeoHookean(5.0), 0.6)
 OTHERS = {  # with those above, one of every type that a case file may name
     "neo-hookean": GROUND,
     "exponential": Exponential(2.0, 5.0, 100.0),
-    "locking-skin": LockingSkin(2.0, 30.0, 8.0, 1.05, 100.0),
-    "ligaments": Sum((GROUND, Ligaments(0.02, 100.0, 1.05, (1.0, 0.5, 0.0)))),
+    "locking-skin": LockingSkin(2.0, 30.0, 8.0, 1.05, 0.03, 100.0),
+    "ligaments": Sum((GROUND, Ligaments(0.02, 100.0, 1.05, 0.03, (1.0, 0.5, 0.0)))),
     "mooney-rivlin": MooneyRivlin(1.0, 0.5, 100.0),
     "ogden": Ogden(2.0, 4.0, 100.0),
     "holzapfel-gasser-ogden": HolzapfelGasserOgden(2.0, 1.5, 0.5, 0.1, 0.5, 100.0),

@@ -60,7 +60,7 @@ def measured_laws() -> dict[str, tuple[EnergyMaterial, int]]:
         "exponential": (Exponential(MU, 2.0, KAPPA), N_CHEAP),
         "mooney-rivlin": (MooneyRivlin(1.0, 0.5, KAPPA), N_CHEAP),
         "ogden": (Ogden(MU, 4.0, KAPPA), N_COSTLY),
-        "locking-skin": (LockingSkin(MU, 43.0, 8.0, 1.05, KAPPA), N_COSTLY),
+        "locking-skin": (LockingSkin(MU, 43.0, 8.0, 1.05, kappa=KAPPA), N_COSTLY),
         "holzapfel-gasser-ogden": (HolzapfelGasserOgden(MU, 1.5, 0.5, 0.1, np.pi / 6, KAPPA), N_CHEAP),
         "may-newman": (MayNewman(0.5, 0.1, 0.2, 0.0, KAPPA), N_CHEAP),
         "fibre-distribution": (fibres, N_CHEAP),

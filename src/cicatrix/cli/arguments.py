@@ -13,6 +13,7 @@ from typing import NoReturn
 
 from ..bench.benchmarks import BENCHMARKS
 from ..core.errors import InputError
+from ..core.positions import POSITIONS
 from ..core.version import __version__
 from ..files.numerals import Numerals
 from ..files.opening import LARGEST_NAME
@@ -85,7 +86,7 @@ def _segment(verbs: argparse._SubParsersAction) -> None:
     parser.add_argument("--out", type=_path, required=True, metavar="DIR", help="folder to write; must be new or empty")
     parser.add_argument("--weighting", choices=("t1", "t1-fatsat"), default="t1")
     parser.add_argument("--side", choices=("left", "right"), default="left", help="side of the patient's breast")
-    parser.add_argument("--position", choices=("prone", "supine", "upright"), default="prone")
+    parser.add_argument("--position", choices=tuple(POSITIONS), default="prone")
     _add_axes(parser)
     parser.add_argument(
         "--chest-wall-plane",
@@ -165,9 +166,7 @@ def _plan(verbs: argparse._SubParsersAction) -> None:
     _add_label_names(parser)
     parser.add_argument("--weighting", choices=("t1", "t1-fatsat"), default="t1")
     parser.add_argument("--side", choices=("left", "right"), default="left", help="side of the patient's breast")
-    parser.add_argument(
-        "--position", choices=("prone", "supine", "upright"), default="prone", help="position in the image"
-    )
+    parser.add_argument("--position", choices=tuple(POSITIONS), default="prone", help="position in the image")
     _add_axes(parser)
     parser.add_argument(
         "--out", metavar="DIR", type=_path, default=Path("plan"), help="folder for cases and runs (default: plan)"

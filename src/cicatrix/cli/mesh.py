@@ -14,6 +14,8 @@ from ..kinds.lumpectomy.body import Anatomy
 from ..kinds.lumpectomy.case import TissueTable
 from ..kinds.lumpectomy.meshed_labels import meshed_labels
 
+TISSUE = "tissue: moduli at small strain, the defaults of a lumpectomy; stiffening, ligaments and skin are left out"
+
 
 def run(args: argparse.Namespace) -> int:
     """Mesh and write; returns the exit code."""
@@ -27,7 +29,7 @@ def run(args: argparse.Namespace) -> int:
     found = from_labels(read_labels(args.labels, names, notes.append, axes=args.axes))
     mesh, E, nu, density = meshed_labels(Anatomy(None, found.labels, found.probabilities), args.edge_mm, TissueTable())
     write_body(out, mesh, E, nu, density)
-    for note in (*notes, *found.notes, *mesh.notes):
+    for note in (*notes, *found.notes, TISSUE, *mesh.notes):
         print(note)
     quality = mesh.quality
     print(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -11,8 +11,9 @@ from scipy.sparse.csgraph import connected_components
 
 from ..materials.active import Contraction
 from ..materials.compose import Sum
+from ..materials.exponential import Exponential
 from ..materials.growth import NaturalConfiguration
-from ..materials.neo_hookean import NeoHookean
+from ..materials.ligaments import Ligaments
 from ..mechanics.body import Body, deformation_gradients
 
 MIN_FILLED = 0.05  # elements with a smaller share of tissue are left out of the mechanics
@@ -20,14 +21,21 @@ MIN_FILLED = 0.05  # elements with a smaller share of tissue are left out of the
 
 @dataclass(frozen=True, eq=False)
 class Tissue:
-    """Elastic constants and density of a tissue at quadrature points, each a number or an (n_elements, n_qp) array."""
+    """Elastic constants and density of a tissue at quadrature points, each a number or an (n_elements, n_qp) array.
+
+    The law is :class:`..materials.exponential.Exponential`, in parallel with ligaments if there are any.
+    """
 
     mu: np.ndarray
     """Shear modulus [kPa]."""
     kappa: np.ndarray
     """Bulk modulus [kPa]."""
+    stiffening: np.ndarray
+    """Exponent b of the exponential law [1]; 0 is neo-Hookean."""
     density: np.ndarray
     """Mass per reference volume [kg/mm^3]."""
+    ligaments: Ligaments | None = None
+    """Ligaments, with a share of the volume per quadrature point; None without."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,11 +87,20 @@ class Cavity:
         """
         fraction = np.where(self._supported(filled >= MIN_FILLED), filled, np.where(self.elements, self.contents, 0.0))
         is_new = self.elements[:, None]
-        elastic = NeoHookean(
-            np.where(is_new, self.scar.mu, self.tissue.mu), np.where(is_new, self.scar.kappa, self.tissue.kappa)
-        )
         tension = np.where(is_new, self.contraction, 0.0) * np.ones_like(self.tissue.mu)
-        return self.intact.with_tissue(tissue_law(elastic, tension, natural), self.density, fraction)
+        return self.intact.with_tissue(tissue_law(self.present, tension, natural), self.density, fraction)
+
+    @cached_property
+    def present(self) -> Tissue:
+        """Tissue of the body after surgery: new tissue, which has no ligaments, in the cavity, the old tissue elsewhere."""
+        is_new, old, new = self.elements[:, None], self.tissue, self.scar
+        mu, kappa, stiffening = (
+            np.where(is_new, getattr(new, name), getattr(old, name)) for name in ("mu", "kappa", "stiffening")
+        )
+        ligaments = old.ligaments
+        if ligaments is not None:
+            ligaments = replace(ligaments, share=np.where(is_new, 0.0, ligaments.share))
+        return Tissue(mu, kappa, stiffening, self.density, ligaments)
 
     def _supported(self, chosen: np.ndarray) -> np.ndarray:
         """Return the chosen elements that are connected through shared sides to tissue outside the cavity (n_elements,) bool."""
@@ -103,6 +120,11 @@ class Cavity:
         return np.cbrt(self.intact.volume_ratio(self.X, x) / np.linalg.det(F))[..., None, None] * F
 
 
-def tissue_law(elastic: NeoHookean, contraction: np.ndarray, natural: np.ndarray) -> NaturalConfiguration:
-    """Return the constitutive law of existing and new tissue; one form for both avoids recompilation as tissue grows."""
-    return NaturalConfiguration(Sum((elastic, Contraction(contraction))), natural)
+def tissue_law(tissue: Tissue, contraction: np.ndarray, natural: np.ndarray) -> NaturalConfiguration:
+    """Return the constitutive law of existing and new tissue; one form for both avoids recompilation as tissue grows.
+
+    Active tension ``contraction`` (n_elements, n_qp) [kPa], natural configuration (n_elements, n_qp, 3, 3) [1].
+    """
+    passive = Exponential(tissue.mu, tissue.stiffening, tissue.kappa)
+    ligaments = () if tissue.ligaments is None else (tissue.ligaments,)
+    return NaturalConfiguration(Sum((passive, *ligaments, Contraction(contraction))), natural)

@@ -9,6 +9,7 @@ import numpy as np
 from scipy import ndimage as ndi
 
 from ..core.errors import InputError
+from ..core.positions import POSITIONS
 from ..geometry.labels import TISSUES, Label
 from ..geometry.volume import Volume
 from .bias import remove_bias
@@ -64,7 +65,7 @@ def segment(
     side : str
         Patient's side, "left" (+x) or "right".
     position : str
-        "prone", "supine" or "upright"; it is recorded in the notes but does not change the method.
+        One of `POSITIONS`; it is recorded in the notes but does not change the method.
     chest_wall : mapping or (n, 3) array, optional
         Given wall instead of the automatic one: a plane ``{"point_mm": (3,), "normal": (3,)}``, or n >= 4 points [mm]
         that are interpolated by a thin-plate spline.
@@ -124,7 +125,7 @@ def _check_words(weighting: str, side: str, position: str) -> None:
     for name, value, known in (
         ("weighting", weighting, ("t1", "t1-fatsat")),
         ("side", side, ("left", "right")),
-        ("position", position, ("prone", "supine", "upright")),
+        ("position", position, tuple(POSITIONS)),
     ):
         if value not in known:
             raise InputError(f'{name} must be one of {", ".join(known)}; got "{value}".')

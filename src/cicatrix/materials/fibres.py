@@ -87,7 +87,7 @@ class FibreDistribution(EnergyMaterial):
         total = self.mu_f * jnp.sum(weight * self._elastic(stretch), axis=-1)
         if self.viscous is None:
             return total
-        branch = straight_fibre(self._straightened(stretch) * jnp.exp(-state))
+        branch = _per_fibre(self._straightened(stretch) * jnp.exp(-state))
         return total + self.mu_f * self.viscous.beta * jnp.sum(weight * self._over_waviness(branch), axis=-1)
 
     def initial_state(self, shape: tuple[int, ...]) -> State:
@@ -129,14 +129,14 @@ class FibreDistribution(EnergyMaterial):
     def _elastic(self, stretch: Array) -> Array:
         """Return the energy of fibres divided by mu_f, integrated over waviness: (..., n) -> (..., n)."""
         if self.waviness is None:
-            return straight_fibre(at_least_one(stretch))
+            return _per_fibre(_at_least_one(stretch))
         mass, first, inverse_square = self.waviness.recruited(stretch)
         return 0.5 * (stretch**2 * inverse_square + 2.0 * first / stretch - 3.0 * mass)
 
     def _straightened(self, stretch: Array) -> Array:
         """Return the stretch beyond straightening of fibres of each waviness, at least 1: (..., n) -> (..., n, n_w)."""
         at, _ = self._waviness()
-        return at_least_one(stretch[..., None] / at[..., None, :])
+        return _at_least_one(stretch[..., None] / at[..., None, :])
 
     def _over_waviness(self, values: Array) -> Array:
         """Integrate values over waviness: (..., n, n_w) -> (..., n)."""
@@ -237,12 +237,12 @@ def _moment(values: Array, V: Array, order: int) -> Array:
     return sums[..., PLACES[order]]
 
 
-def straight_fibre(stretch: Array) -> Array:
+def _per_fibre(stretch: Array) -> Array:
     """Return the energy of a straight fibre divided by mu_f, from its stretch: (...) -> (...) [1]."""
     return 0.5 * (stretch**2 + 2.0 / stretch - 3.0)
 
 
-def at_least_one(stretch: Array) -> Array:
+def _at_least_one(stretch: Array) -> Array:
     """Raise stretches below 1 to 1, as slack fibres carry no compression; at exactly 1 the derivative is 1."""
     return jnp.where(stretch >= 1.0, stretch, 1.0)
 

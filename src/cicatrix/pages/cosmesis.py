@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..core.positions import POSITIONS
 from .bodies import Shape
 from .run_view import RunView
 
 ML = 1e-3  # ml per mm^3
-POSITIONS = {"upright": "standing", "supine": "lying on the back", "prone": "lying face down"}
 REFERENCES = {  # published clinical numbers; sources in docs/theory/clinic.md
     "closure": "cavity on planning CT: 47 to 30 ml within weeks 3 to 8, 21 ml in weeks 9 to 14, 9 ml later",
     "removed": "median resection 55 to 64 ml",

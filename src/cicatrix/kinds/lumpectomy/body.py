@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
 from ...core.errors import InputError
+from ...core.positions import down
 from ...core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2, density_kg_mm3
 from ...coupling.cavity import Tissue, tissue_law
 from ...geometry.labels import TISSUES, Label
 from ...geometry.volume import Volume
+from ...materials.locking_skin import LockingSkin
+from ...materials.material import Material
 from ...materials.neo_hookean import NeoHookean, moduli_from_young
 from ...mechanics.body import Body, Discretization
 from ...mechanics.elements import meshed_wrinkling_strain
 from ...mechanics.space import SolidSpace, Space
 from ...outcome.change import ShapeChange
-from .case import LumpectomyCase, TissueTable
+from .case import LumpectomyCase, SkinTable, TissueTable
 
-# direction of gravity, as LPS components, for each position of the patient
-DOWN = {"upright": (0.0, 0.0, -1.0), "prone": (0.0, -1.0, 0.0), "supine": (0.0, 1.0, 0.0)}
 MAX_NIPPLE_DISTANCE_MM = 15.0  # largest distance of a given nipple from the skin of the mesh
 MIN_SKIN_FLAP_MM = 3.0  # the cavity stays this far below the skin and off the chest wall
 
@@ -59,6 +61,8 @@ class BreastModel(ABC):
         Centre of the resection, LPS.
     radius_mm : float
         Radius of the resection; of a section, the radius in its plane.
+    side : str
+        Side of the breast, "left" or "right".
     nipple_mm : (3,) array [mm], optional
         Nipple in the image, LPS, if the case gives it.
     notes : tuple of str
@@ -71,6 +75,7 @@ class BreastModel(ABC):
     cavity: np.ndarray
     centre_mm: np.ndarray
     radius_mm: float
+    side: str
     nipple_mm: np.ndarray | None = None
     notes: tuple[str, ...] = ()
 
@@ -81,7 +86,7 @@ class BreastModel(ABC):
 
     def gravity(self, position: str) -> np.ndarray:
         """Return the gravitational acceleration in the body's axes for a patient position (3,) [mm/s^2]."""
-        return self.from_patient(np.array(DOWN[position])) * acceleration_mm_s2(STANDARD_GRAVITY_M_S2)
+        return self.from_patient(np.array(down(position, self.side))) * acceleration_mm_s2(STANDARD_GRAVITY_M_S2)
 
     @property
     @abstractmethod
@@ -139,6 +144,7 @@ class BreastModel(ABC):
         return {
             "mu": tissue.mu,
             "kappa": tissue.kappa,
+            "stiffening": tissue.stiffening,
             "density": tissue.density,
             "centre_mm": self.centre_mm,
             "radius_mm": np.array(self.radius_mm),
@@ -177,10 +183,16 @@ def nipple_of(case: LumpectomyCase) -> np.ndarray | None:
     return None if case.outcome.nipple_mm is None else np.asarray(case.outcome.nipple_mm, float)
 
 
+def tissue_from_arrays(arrays: Mapping[str, np.ndarray]) -> Tissue:
+    """Return the tissue before surgery that :meth:`BreastModel.tissue_arrays` stored."""
+    return Tissue(*(arrays[name] for name in ("mu", "kappa", "stiffening", "density")))
+
+
 def scar_of(case: LumpectomyCase) -> Tissue:
     """Return the elastic constants and density of new tissue in the cavity."""
     new = case.tissue.scar
-    return Tissue(*moduli_from_young(new.E_kPa, new.nu), density_kg_mm3(new.density_kg_m3))
+    mu, kappa = moduli_from_young(new.E_kPa, new.nu)
+    return Tissue(mu, kappa, np.asarray(new.stiffening), density_kg_mm3(new.density_kg_m3))
 
 
 def intact_body(case: LumpectomyCase, discretization: Discretization, tissue: Tissue) -> Body:
@@ -189,13 +201,22 @@ def intact_body(case: LumpectomyCase, discretization: Discretization, tissue: Ti
     natural = np.broadcast_to(np.eye(3), (*tissue.mu.shape, 3, 3))
     return Body(
         discretization,
-        law=tissue_law(NeoHookean(tissue.mu, tissue.kappa), np.zeros_like(tissue.mu), natural),
+        law=tissue_law(tissue, np.zeros_like(tissue.mu), natural),
         density=tissue.density,
         fraction=np.ones(discretization.space.n_elements),
-        skin=NeoHookean(*moduli_from_young(skin.E_kPa, skin.nu)),
+        skin=skin_law(skin),
         skin_thickness=np.full(len(discretization.skin_facets), skin.thickness_mm),
         wrinkling_strain=_wrinkling_strain(case, discretization),
+        skin_prestretch=skin.prestretch,
     )
+
+
+def skin_law(skin: SkinTable) -> Material:
+    """Return the law of the skin; neo-Hookean, which is cheaper, if it does not lock (``stiff_kPa`` = 0)."""
+    mu, kappa = moduli_from_young(skin.E_kPa, skin.nu)
+    if not skin.stiff_kPa:
+        return NeoHookean(mu, kappa)
+    return LockingSkin(mu, skin.stiff_kPa, skin.steepness, skin.locking_stretch, kappa=kappa)
 
 
 def _wrinkling_strain(case: LumpectomyCase, discretization: Discretization) -> float:
@@ -214,15 +235,30 @@ def quadrature_points(space: Space | SolidSpace) -> np.ndarray:
 def tissue_at(table: TissueTable, anatomy: Anatomy, points: np.ndarray) -> Tissue:
     """Average tissue constants by probability at points (..., 3) LPS [mm].
 
-    Skin adds density only; its stiffness is that of a membrane on the surface.
+    Skin adds density only; its stiffness is that of a membrane on the surface. The bulk modulus of the others is at least
+    ``table.least_bulk_modulus_kPa``.
     """
     shares = np.moveaxis(anatomy.probabilities.sample(points), 0, -1)
     shares[..., TISSUES.index(Label.FAT)] += 1e-3  # fat where no tissue has a probability above 0
     bearing = np.where(np.array(TISSUES) == Label.SKIN, 0.0, shares)
-    parts = [getattr(table, label.name.lower()) for label in TISSUES]
-    mu, kappa = _mean(bearing, np.array([moduli_from_young(p.E_kPa, p.nu) for p in parts]))
-    (density,) = _mean(shares, np.array([[density_kg_mm3(p.density_kg_m3)] for p in parts]))
-    return Tissue(mu, kappa, density)
+    elastic = [_elastic(table, label) for label in TISSUES]
+    mu, kappa, stiffening = _mean(bearing, np.array(elastic))
+    densities = [density_kg_mm3(_of(table, label).density_kg_m3) for label in TISSUES]
+    (density,) = _mean(shares, np.array(densities)[:, None])
+    return Tissue(mu, kappa, stiffening, density)
+
+
+def _of(table: TissueTable, label: Label):
+    return getattr(table, label.name.lower())
+
+
+def _elastic(table: TissueTable, label: Label) -> tuple[float, float, float]:
+    """Return the shear modulus [kPa], bulk modulus [kPa] and stiffening [1] of a tissue; zeros for skin, a membrane."""
+    if label == Label.SKIN:
+        return 0.0, 0.0, 0.0
+    tissue = _of(table, label)
+    mu, kappa = moduli_from_young(tissue.E_kPa, tissue.nu)
+    return mu, max(kappa, table.least_bulk_modulus_kPa), tissue.stiffening
 
 
 def _mean(shares: np.ndarray, values: np.ndarray) -> np.ndarray:

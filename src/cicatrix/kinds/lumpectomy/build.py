@@ -24,7 +24,7 @@ from .section import section_from_arrays, section_model
 from .sites import box_around, too_many
 from .solid import solid_from_arrays, solid_model
 
-CLOT_KPA = 0.01  # shear modulus of clot and wound fluid, assumed: a hundredth of fat's, enough to keep walls apart
+CLOT_KPA = 0.01  # shear modulus of clot and wound fluid, assumed: a tenth of fat's, enough to keep walls apart
 
 
 class HealingFactory(Protocol):

@@ -29,6 +29,7 @@ from ...cases.bounds import (
 from ...cases.continuum import AnySensing, LogisticTable, ParametersTable, TimeTolerance, check_continuum
 from ...cases.table import Case, Table
 from ...core.errors import InputError
+from ...core.positions import POSITIONS
 from ...core.units import days_from_hours
 from ...geometry.volume import AXES
 from ...healing.rates import (
@@ -44,7 +45,7 @@ from ...healing.rules import AutomatonRules
 from .sites import box_around, too_many
 from .sources import sources_of
 
-Position = Literal["prone", "supine", "upright"]
+Position: Any = Literal[tuple(POSITIONS)]
 Tissue = Literal["air", "fat", "gland", "skin", "tumour", "chest"]
 # keys of `healing` that belong to one model alone, by the name of the model
 MODEL_KEYS: dict[str, tuple[str, ...]] = {
@@ -120,55 +121,82 @@ class ImageTable(Table):
         return self
 
 
+FAT_KPA = 0.3  # Young's modulus of fat, to which those of the other tissues are related
+STIFFENING = 2.0  # exponent b of the exponential law
+Stiffening = Annotated[NotNegative, bounds(most=100.0)]
+
+
 class FatTable(Table):
     """Adipose tissue."""
 
-    E_kPa: Positive = 3.25  # Young's modulus at small strain
+    E_kPa: Positive = FAT_KPA  # Young's modulus at small strain
     nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    stiffening: Stiffening = STIFFENING  # exponent b of the law `exponential`; 0: neo-Hookean
     density_kg_m3: Positive = 930.0  # mass density
 
 
 class GlandTable(Table):
     """Fibroglandular tissue."""
 
-    E_kPa: Positive = 3.24  # Young's modulus at small strain
+    E_kPa: Positive = 1.2 * FAT_KPA  # Young's modulus at small strain
     nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    stiffening: Stiffening = STIFFENING  # exponent b of the law `exponential`; 0: neo-Hookean
     density_kg_m3: Positive = 1040.0  # mass density
 
 
 class SkinTable(Table):
-    """Skin, a layer on the outer surface."""
+    """Skin, a layer on the outer surface: soft up to a stretch, stiff beyond it."""
 
-    E_kPa: Positive = 56.0  # Young's modulus at small strain
+    E_kPa: Positive = 4.0  # Young's modulus at small strain
     nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
     density_kg_m3: Positive = 1090.0  # mass density
     thickness_mm: Positive = 1.45  # thickness of the layer
+    prestretch: Annotated[Positive, bounds(most=2.0)] = 1.1  # in-plane stretch of the skin in the body without gravity
+    locking_stretch: Annotated[Number, bounds(least=1.0, most=10.0)] = (
+        1.25  # stretch beyond which skin stiffens steeply
+    )
+    stiff_kPa: NotNegative = (
+        43.0  # stress beyond that stretch is stiff_kPa (exp(steepness (stretch - locking_stretch)) - 1)
+    )
+    steepness: Annotated[Number, bounds(least=0.01, most=200.0)] = 8.0  # growth of that stress with stretch
 
 
 class TumourTable(Table):
     """Tumour, which is removed."""
 
-    E_kPa: Positive = 6 * 3.24  # Young's modulus at small strain
+    E_kPa: Positive = 6 * 1.2 * FAT_KPA  # Young's modulus at small strain
     nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    stiffening: Stiffening = STIFFENING  # exponent b of the law `exponential`; 0: neo-Hookean
     density_kg_m3: Positive = 1040.0  # mass density
 
 
 class ScarTable(Table):
     """New tissue in the cavity."""
 
-    E_kPa: Positive = 3.25 * 29 / 15  # Young's modulus at small strain
+    E_kPa: Positive = FAT_KPA * 29 / 15  # Young's modulus at small strain
     nu: PoissonRatio = 0.495  # Poisson's ratio at small strain
+    stiffening: Stiffening = STIFFENING  # exponent b of the law `exponential`; 0: neo-Hookean
     density_kg_m3: Positive = 1040.0  # mass density
 
 
+class LigamentsTable(Table):
+    """Suspensory ligaments of Cooper: fibres from the chest wall to the skin, slack up to a stretch."""
+
+    share: Annotated[NotNegative, bounds(most=0.02)] = 0.01  # share of the volume of the tissue; 0: none
+    stiffness_kPa: NotNegative = 40.0  # a third of the modulus of a ligament that has just become straight
+    slack_stretch: Annotated[Number, bounds(least=1.0, most=10.0)] = 1.225  # stretch up to which they carry no load
+
+
 class TissueTable(Table):
-    """Small-strain stiffness, compressibility and density of each tissue."""
+    """Stiffness, compressibility and density of each tissue."""
 
     fat: FatTable = FatTable()
     gland: GlandTable = GlandTable()
     skin: SkinTable = SkinTable()
     tumour: TumourTable = TumourTable()
     scar: ScarTable = ScarTable()
+    ligaments: LigamentsTable = LigamentsTable()
+    least_bulk_modulus_kPa: NotNegative = 10.0  # least bulk modulus of fat, gland and tumour, which are mostly water
 
 
 class ResectionTable(Table):
@@ -246,7 +274,7 @@ class OutcomeTable(Table):
     @model_validator(mode="after")
     def _reports_something(self) -> OutcomeTable:
         if not self.positions:
-            raise fault("positions", 'must name at least one of "upright", "supine", "prone"')
+            raise fault("positions", "must name at least one of " + ", ".join(f'"{name}"' for name in POSITIONS))
         return self
 
 

@@ -31,8 +31,10 @@ from .body import (
     resection_of,
     scar_of,
     tissue_at,
+    tissue_from_arrays,
 )
 from .case import LumpectomyCase
+from .ligaments import with_ligaments
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -141,7 +143,7 @@ def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) 
     mesh = skfem.MeshTri(arrays["points"], arrays["triangles"]).with_subdomains({"cavity": arrays["cavity"]})
     mesh = mesh.with_boundaries({name: arrays[name] for name in ("skin", "wall")})
     section = Section(case.image.plane, float(arrays["section_mm"]))
-    tissue = Tissue(arrays["mu"], arrays["kappa"], arrays["density"])
+    tissue = tissue_from_arrays(arrays)
     return _filled(case, section, mesh, tissue, arrays["centre_mm"], float(arrays["radius_mm"]))
 
 
@@ -213,7 +215,9 @@ def _filled(
     if not len(wall):
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
     space = Space(mesh)
-    discretization = Discretization(space, mesh.boundaries["skin"], np.unique(space.facet_nodes(wall)))
+    wall_nodes = np.unique(space.facet_nodes(wall))
+    discretization = Discretization(space, mesh.boundaries["skin"], wall_nodes)
+    tissue = with_ligaments(tissue, case.tissue.ligaments, discretization, wall_nodes)
     return SectionModel(
         intact=intact_body(case, discretization, tissue),
         tissue=tissue,
@@ -221,6 +225,7 @@ def _filled(
         cavity=np.isin(np.arange(mesh.nelements), mesh.subdomains["cavity"]),
         centre_mm=centre,
         radius_mm=radius,
+        side=case.image.side,
         nipple_mm=nipple_of(case),
         section=section,
         mesh=mesh,

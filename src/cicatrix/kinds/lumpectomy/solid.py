@@ -32,8 +32,10 @@ from .body import (
     resection_of,
     scar_of,
     tissue_at,
+    tissue_from_arrays,
 )
 from .case import LumpectomyCase
+from .ligaments import with_ligaments
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -143,7 +145,7 @@ def solid_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) ->
     """Rebuild the breast model of an interrupted run from its stored arrays, bitwise identical, without reading the image."""
     corners = arrays["corners"]
     space = SolidSpace(*with_middles(corners, arrays["tetrahedra"]))
-    tissue = Tissue(arrays["mu"], arrays["kappa"], arrays["density"])
+    tissue = tissue_from_arrays(arrays)
     centre, radius = arrays["centre_mm"], float(arrays["radius_mm"])
     return _filled(case, corners, space, arrays["cavity"], arrays["border"], tissue, centre, radius)
 
@@ -204,6 +206,7 @@ def _filled(
     """Build the model from mesh and tissue; faces of the surface are either skin or constrained."""
     constrained_nodes = np.unique(space.facet_nodes(np.flatnonzero(border != Border.SKIN)))
     discretization = Discretization(space, np.flatnonzero(border == Border.SKIN), constrained_nodes)
+    tissue = with_ligaments(tissue, case.tissue.ligaments, discretization, constrained_nodes)
     return SolidModel(
         intact=intact_body(case, discretization, tissue),
         tissue=tissue,
@@ -211,6 +214,7 @@ def _filled(
         cavity=cavity,
         centre_mm=centre,
         radius_mm=radius,
+        side=case.image.side,
         nipple_mm=nipple_of(case),
         corners=corners,
         border=border,

@@ -6,27 +6,44 @@ from collections.abc import Iterator
 from typing import Any
 
 from ...cases.table import Table
+from .priors import PRIORS
 
 NEARLY_INCOMPRESSIBLE = "nearly incompressible soft tissue, 0.49 to 0.499; Garbey et al., Eq. (2)"
 CHOSEN = "chosen; no published value"
+IN_VIVO = "Ex vivo 3.25 +- 0.91 kPa and by suction 3.0 +- 1.2 kPa, too stiff for the weight of the breast"
+AS_FAT = "as fat; " + CHOSEN
 
 SOURCES: dict[str, str] = {
-    "tissue.fat.E_kPa": "ex vivo 3.25 +- 0.91 kPa, nearly that of gland; in vivo fat and gland 3.0 +- 1.2 kPa",
+    "tissue.fat.E_kPa": "0.2 to 0.3 kPa move a breast from prone to supine as in images; Mira et al. (2018), one woman. "
+    + IN_VIVO,
     "tissue.fat.nu": NEARLY_INCOMPRESSIBLE,
+    "tissue.fat.stiffening": "prone tissue this soft must stiffen to be stable; spread assumed. Law: Demiray (1972)",
     "tissue.fat.density_kg_m3": "0.92 to 0.95 g/ml",
-    "tissue.gland.E_kPa": "ex vivo 3.24 +- 0.61 kPa, nearly that of fat; in vivo fat and gland 3.0 +- 1.2 kPa",
+    "tissue.gland.E_kPa": "1.2 times fat; ex vivo and by suction the two hardly differ, by images up to several times",
     "tissue.gland.nu": NEARLY_INCOMPRESSIBLE,
+    "tissue.gland.stiffening": AS_FAT,
     "tissue.gland.density_kg_m3": "1.04 g/ml",
-    "tissue.skin.E_kPa": "in vivo 56 +- 16 kPa",
+    "tissue.skin.E_kPa": "4 kPa, from images in three positions; Mira et al. (2018), one woman. By suction 56 +- 16 kPa",
     "tissue.skin.nu": NEARLY_INCOMPRESSIBLE,
     "tissue.skin.density_kg_m3": "1.09 g/ml",
-    "tissue.skin.thickness_mm": "1.44 +- 0.25 mm, rounded up",
+    "tissue.skin.thickness_mm": "1.44 +- 0.25 mm, rounded up; 1.55 +- 0.25 mm, Sutradhar & Miller (2013)",
+    "tissue.skin.prestretch": "skin retracts when it is cut; 1.10 on the breast is " + CHOSEN,
+    "tissue.skin.locking_stretch": "breast skin stretches by up to 1.25 to 1.60 from supine to upright; Khatam et al. (2015)",
+    "tissue.skin.stiff_kPa": "times steepness 344 kPa, as breast skin by suction in 23 women; Sutradhar & Miller (2013)",
+    "tissue.skin.steepness": "ln(83.3 / 1.18) / 0.54: slopes, strain at failure, skin of the back; Ni Annaidh et al. (2012)",
     "tissue.tumour.E_kPa": "6 times gland; tumours are 3 to 13 times stiffer",
     "tissue.tumour.nu": NEARLY_INCOMPRESSIBLE,
+    "tissue.tumour.stiffening": AS_FAT,
     "tissue.tumour.density_kg_m3": "as gland; " + CHOSEN,
     "tissue.scar.E_kPa": "fat times 29/15: tumour bed 29 kPa at 12 months against 15 kPa on the other side",
     "tissue.scar.nu": NEARLY_INCOMPRESSIBLE,
+    "tissue.scar.stiffening": "as fat, so that the ratio of their stiffness, which is what is measured, holds at every stretch",
     "tissue.scar.density_kg_m3": "as gland; " + CHOSEN,
+    "tissue.ligaments.share": "up to 2 % of the breast; assumed",
+    "tissue.ligaments.stiffness_kPa": "120 kPa / 3, fascia of one woman from images; Mira et al. (2018). See Briot et al. (2022)",
+    "tissue.ligaments.slack_stretch": "slack up to 1.05 to 1.4; assumed",
+    "tissue.least_bulk_modulus_kPa": "tissue is mostly water; nu alone would let soft tissue change its volume by a fifth; "
+    + CHOSEN,
     "healing.deposition": "stress-free in the unloaded reference; Garbey et al.",
     "healing.deposition_prestretch": "1: deposited without stretch; " + CHOSEN,
     "healing.contraction_kPa": "0: no contraction; Garbey et al.",
@@ -66,7 +83,7 @@ def keys(table: Table, prefix: str = "") -> Iterator[str]:
 
 
 def sources_of(case: Table, default: Table) -> dict[str, str]:
-    """Return for every key with a source where its value comes from: the default's source, or the case itself.
+    """Return for every key with a source where its value comes from: the default's source and its prior, or the case itself.
 
     Parameters
     ----------
@@ -79,4 +96,5 @@ def sources_of(case: Table, default: Table) -> dict[str, str]:
         Source by dotted key, in the order of :data:`SOURCES`.
     """
     same = {key: value_at(case, key) == value_at(default, key) for key in SOURCES}
-    return {key: source if same[key] else "given by the case" for key, source in SOURCES.items()}
+    said = {key: f"{source}; prior: {PRIORS[key]}" if key in PRIORS else source for key, source in SOURCES.items()}
+    return {key: source if same[key] else "given by the case" for key, source in said.items()}
