@@ -159,7 +159,7 @@ def test_skin_weighs_and_bears_no_load_in_the_bulk(half_disc):
     deep = np.abs(tissue.density - tissue.density.max()) < 1e-12
     assert deep.mean() > 0.5
     assert tissue.density.max() == pytest.approx(0.5 * (930 + 1090) * 1e-9, rel=1e-3)
-    np.testing.assert_allclose(tissue.mu, 3.25 / (2 * 1.495), rtol=1e-6)
+    np.testing.assert_allclose(tissue.mu, 0.3 / (2 * 1.495), rtol=1e-6)
 
 
 def test_signals_are_heard_after_meshing():

@@ -91,7 +91,8 @@ class ImageTable(Table):
     phantom: Literal["half-ellipsoid"] | None = None  # a synthetic breast instead of an image
     voxel_mm: Annotated[Positive, bounds(most=20.0)] = 1.0  # voxel size of the phantom
     weighting: Literal["t1", "t1-fatsat"] = "t1"  # contrast of the MR image: T1, without or with fat suppression
-    position: Position = "prone"  # position of the patient in the image
+    # position of the patient in the image
+    position: Position = "prone"  # pyright: ignore[reportInvalidTypeForm]
     side: Literal["left", "right"] = "left"  # the breast that is operated on
     axes: str | None = (
         None  # patient directions of the file's x, y, z, such as "RIA", if its header lacks them or is wrong
@@ -261,13 +262,15 @@ class CouplingTable(Table):
 
     mode: Literal["one-way", "two-way"] = "two-way"  # "one-way": deformation does not influence the cells
     days_per_cycle: Positive = 7.0  # time between two solutions of mechanical equilibrium
-    healing_position: Position = "upright"  # position of the patient while the wound heals
+    # position of the patient while the wound heals
+    healing_position: Position = "upright"  # pyright: ignore[reportInvalidTypeForm]
 
 
 class OutcomeTable(Table):
     """Positions and visits for which the shape is reported."""
 
-    positions: tuple[Position, ...] = ("upright", "supine")  # positions of the patient
+    # positions of the patient
+    positions: tuple[Position, ...] = ("upright", "supine")  # pyright: ignore[reportInvalidTypeForm]
     visits_weeks: Ascending = (2.0, 6.0, 10.0, 26.0)  # times after surgery
     nipple_mm: Vector | None = None  # nipple in the image, LPS; default: the foremost point of the skin
 

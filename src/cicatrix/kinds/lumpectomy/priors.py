@@ -7,7 +7,6 @@ from typing import Literal
 
 import numpy as np
 from scipy import stats
-from scipy.stats import qmc
 
 
 @dataclass(frozen=True)
@@ -84,8 +83,10 @@ def draws(n: int, seed: int) -> dict[str, np.ndarray]:
 
     Every number is stratified: one value in each n-th part of its distribution. The priors are independent, but for the ratios.
     """
-    shares = qmc.LatinHypercube(len(PRIORS), seed=np.random.default_rng(seed)).random(n)
+    random = np.random.default_rng(seed)
+    parts = random.permuted(np.tile(np.arange(n), (len(PRIORS), 1)), axis=1)
+    shares = (parts + random.random(parts.shape)) / n
     drawn: dict[str, np.ndarray] = {}
-    for share, (key, prior) in zip(shares.T, PRIORS.items(), strict=True):
+    for share, (key, prior) in zip(shares, PRIORS.items(), strict=True):
         drawn[key] = prior.at(share) * (1.0 if prior.times is None else drawn[prior.times])
     return drawn
