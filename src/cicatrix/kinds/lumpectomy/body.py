@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -55,6 +54,8 @@ class BreastModel(ABC):
         The body as imaged.
     tissue, scar : TissueTable
         Tissue before surgery, and new tissue in the cavity.
+    shares : (n_elements, n_qp, 4) array [1]
+        Probability of each tissue at the quadrature points, in the order of ``TISSUES``.
     cavity : (n_elements,) bool array
         Elements that the resection removes.
     centre_mm : (3,) array [mm]
@@ -72,6 +73,7 @@ class BreastModel(ABC):
     intact: Body
     tissue: Tissue
     scar: Tissue
+    shares: np.ndarray
     cavity: np.ndarray
     centre_mm: np.ndarray
     radius_mm: float
@@ -138,17 +140,10 @@ class BreastModel(ABC):
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays from which the same model can be built again."""
 
-    def tissue_arrays(self) -> dict[str, np.ndarray]:
-        """Return the arrays of tissue and resection, which sections and solids both store."""
-        tissue = self.tissue
-        return {
-            "mu": tissue.mu,
-            "kappa": tissue.kappa,
-            "stiffening": tissue.stiffening,
-            "density": tissue.density,
-            "centre_mm": self.centre_mm,
-            "radius_mm": np.array(self.radius_mm),
-        }
+    def common_arrays(self) -> dict[str, np.ndarray]:
+        """Return the arrays of tissue, resection and fascia, which sections and solids both store."""
+        resection = {"centre_mm": self.centre_mm, "radius_mm": np.array(self.radius_mm)}
+        return {"shares": self.shares, **resection}
 
 
 def resection_of(case: LumpectomyCase, anatomy: Anatomy) -> np.ndarray:
@@ -181,11 +176,6 @@ def check_flap(depth_mm: float) -> None:
 def nipple_of(case: LumpectomyCase) -> np.ndarray | None:
     """Return the nipple that the case gives (3,) LPS [mm], or None."""
     return None if case.outcome.nipple_mm is None else np.asarray(case.outcome.nipple_mm, float)
-
-
-def tissue_from_arrays(arrays: Mapping[str, np.ndarray]) -> Tissue:
-    """Return the tissue before surgery that :meth:`BreastModel.tissue_arrays` stored."""
-    return Tissue(*(arrays[name] for name in ("mu", "kappa", "stiffening", "density")))
 
 
 def scar_of(case: LumpectomyCase) -> Tissue:
@@ -232,14 +222,19 @@ def quadrature_points(space: Space | SolidSpace) -> np.ndarray:
     return np.einsum("qa,eai->eqi", space.table.value, space.positions[space.element_nodes])
 
 
-def tissue_at(table: TissueTable, anatomy: Anatomy, points: np.ndarray) -> Tissue:
-    """Average tissue constants by probability at points (..., 3) LPS [mm].
+def shares_at(anatomy: Anatomy, points: np.ndarray) -> np.ndarray:
+    """Return the probability of each tissue at points (..., 3) LPS [mm], in the order of ``TISSUES`` (..., 4) [1]."""
+    shares = np.moveaxis(anatomy.probabilities.sample(points), 0, -1)
+    shares[..., TISSUES.index(Label.FAT)] += 1e-3  # fat where no tissue has a probability above 0
+    return shares
+
+
+def tissue_of(table: TissueTable, shares: np.ndarray) -> Tissue:
+    """Average the constants of the tissues by their probability (..., 4) [1].
 
     Skin adds density only; its stiffness is that of a membrane on the surface. The bulk modulus of the others is at least
     ``table.least_bulk_modulus_kPa``.
     """
-    shares = np.moveaxis(anatomy.probabilities.sample(points), 0, -1)
-    shares[..., TISSUES.index(Label.FAT)] += 1e-3  # fat where no tissue has a probability above 0
     bearing = np.where(np.array(TISSUES) == Label.SKIN, 0.0, shares)
     elastic = [_elastic(table, label) for label in TISSUES]
     mu, kappa, stiffening = _mean(bearing, np.array(elastic))

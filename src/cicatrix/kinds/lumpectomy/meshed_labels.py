@@ -8,7 +8,7 @@ from ...geometry.meshing3d import BodyMesh, mesh_body
 from ...geometry.tetrahedra import with_middles
 from ...materials.neo_hookean import young_from_moduli
 from ...mechanics.space import SolidSpace
-from .body import Anatomy, quadrature_points, tissue_at
+from .body import Anatomy, quadrature_points, shares_at, tissue_of
 from .case import TissueTable
 
 
@@ -28,6 +28,6 @@ def meshed_labels(
     """
     mesh = mesh_body(anatomy.labels, edge_mm, tissue=anatomy.breast)
     space = SolidSpace(*with_middles(mesh.nodes, mesh.tetrahedra))
-    found = tissue_at(tissue, anatomy, quadrature_points(space))
+    found = tissue_of(tissue, shares_at(anatomy, quadrature_points(space)))
     E, nu = young_from_moduli(found.mu.mean(axis=1), found.kappa.mean(axis=1))
     return mesh, E, nu, found.density.mean(axis=1)

@@ -11,7 +11,6 @@ import skfem
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ...core.errors import InputError
-from ...coupling.cavity import Tissue
 from ...geometry.labels import Label
 from ...geometry.meshing import component_at, interpolant, label_borders, mesh_section, signed_distance
 from ...geometry.section import Raster, Section
@@ -30,8 +29,8 @@ from .body import (
     quadrature_points,
     resection_of,
     scar_of,
-    tissue_at,
-    tissue_from_arrays,
+    shares_at,
+    tissue_of,
 )
 from .case import LumpectomyCase
 from .ligaments import with_ligaments
@@ -76,7 +75,7 @@ class SectionModel(BreastModel):
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays from which ``section_from_arrays`` builds the same model again."""
         mesh = self.mesh
-        return self.tissue_arrays() | {
+        return self.common_arrays() | {
             "points": mesh.p,
             "triangles": mesh.t,
             "cavity": mesh.subdomains["cavity"],
@@ -135,7 +134,7 @@ def section_model(case: LumpectomyCase, anatomy: Anatomy) -> SectionModel:
     )
     mesh = label_borders(mesh, _is_wall(anatomy.labels, section, raster))
     points = section.to_patient(quadrature_points(Space(mesh))[..., :2])
-    return _filled(case, section, mesh, tissue_at(case.tissue, anatomy, points), centre, radius)
+    return _filled(case, section, mesh, shares_at(anatomy, points), centre, radius)
 
 
 def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SectionModel:
@@ -143,8 +142,7 @@ def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) 
     mesh = skfem.MeshTri(arrays["points"], arrays["triangles"]).with_subdomains({"cavity": arrays["cavity"]})
     mesh = mesh.with_boundaries({name: arrays[name] for name in ("skin", "wall")})
     section = Section(case.image.plane, float(arrays["section_mm"]))
-    tissue = tissue_from_arrays(arrays)
-    return _filled(case, section, mesh, tissue, arrays["centre_mm"], float(arrays["radius_mm"]))
+    return _filled(case, section, mesh, arrays["shares"], arrays["centre_mm"], float(arrays["radius_mm"]))
 
 
 def plane_of(case: LumpectomyCase, centre: np.ndarray) -> tuple[Section, float]:
@@ -208,20 +206,21 @@ def _is_wall(labels: Volume, section: Section, raster: Raster):
 
 
 def _filled(
-    case: LumpectomyCase, section: Section, mesh: skfem.MeshTri, tissue: Tissue, centre: np.ndarray, radius: float
+    case: LumpectomyCase, section: Section, mesh: skfem.MeshTri, shares: np.ndarray, centre: np.ndarray, radius: float
 ) -> SectionModel:
-    """Build the model from mesh and tissue."""
+    """Build the model from mesh and tissue shares."""
     wall = mesh.boundaries["wall"]
     if not len(wall):
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
     space = Space(mesh)
     wall_nodes = np.unique(space.facet_nodes(wall))
     discretization = Discretization(space, mesh.boundaries["skin"], wall_nodes)
-    tissue = with_ligaments(tissue, case.tissue.ligaments, discretization, wall_nodes)
+    tissue = with_ligaments(tissue_of(case.tissue, shares), case.tissue.ligaments, discretization, wall_nodes)
     return SectionModel(
         intact=intact_body(case, discretization, tissue),
         tissue=tissue,
         scar=scar_of(case),
+        shares=shares,
         cavity=np.isin(np.arange(mesh.nelements), mesh.subdomains["cavity"]),
         centre_mm=centre,
         radius_mm=radius,

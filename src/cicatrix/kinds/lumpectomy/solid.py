@@ -9,7 +9,6 @@ from functools import cached_property
 import numpy as np
 
 from ...core.errors import InputError
-from ...coupling.cavity import Tissue
 from ...geometry.isosurface import LEVEL, Isosurface, isosurface, segmented_body
 from ...geometry.labels import Label
 from ...geometry.meshing import Function
@@ -31,8 +30,8 @@ from .body import (
     quadrature_points,
     resection_of,
     scar_of,
-    tissue_at,
-    tissue_from_arrays,
+    shares_at,
+    tissue_of,
 )
 from .case import LumpectomyCase
 from .ligaments import with_ligaments
@@ -108,7 +107,7 @@ class SolidModel(BreastModel):
 
     def arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays from which ``solid_from_arrays`` builds the same model again."""
-        return self.tissue_arrays() | {
+        return self.common_arrays() | {
             "corners": self.corners,
             "tetrahedra": self.space.element_nodes[:, :4],
             "cavity": self.cavity,
@@ -136,18 +135,17 @@ def solid_model(case: LumpectomyCase, anatomy: Anatomy) -> SolidModel:
         cavity_edge_mm=case.mesh.cavity_edge_mm,
     )
     space = SolidSpace(*with_middles(mesh.nodes, mesh.tetrahedra))
-    tissue = tissue_at(case.tissue, anatomy, quadrature_points(space))
+    shares = shares_at(anatomy, quadrature_points(space))
     is_cavity = mesh.region == Region.CAVITY
-    return _filled(case, mesh.nodes, space, is_cavity, mesh.marker, tissue, centre, radius, _notes(mesh))
+    return _filled(case, mesh.nodes, space, is_cavity, mesh.marker, shares, centre, radius, _notes(mesh))
 
 
 def solid_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SolidModel:
     """Rebuild the breast model of an interrupted run from its stored arrays, bitwise identical, without reading the image."""
     corners = arrays["corners"]
     space = SolidSpace(*with_middles(corners, arrays["tetrahedra"]))
-    tissue = tissue_from_arrays(arrays)
     centre, radius = arrays["centre_mm"], float(arrays["radius_mm"])
-    return _filled(case, corners, space, arrays["cavity"], arrays["border"], tissue, centre, radius)
+    return _filled(case, corners, space, arrays["cavity"], arrays["border"], arrays["shares"], centre, radius)
 
 
 def _cavity(surface: Isosurface, centre: np.ndarray, radius: float) -> Function:
@@ -198,19 +196,20 @@ def _filled(
     space: SolidSpace,
     cavity: np.ndarray,
     border: np.ndarray,
-    tissue: Tissue,
+    shares: np.ndarray,
     centre: np.ndarray,
     radius: float,
     notes: tuple[str, ...] = (),
 ) -> SolidModel:
-    """Build the model from mesh and tissue; faces of the surface are either skin or constrained."""
+    """Build the model from mesh and tissue shares; faces of the surface are either skin or constrained."""
     constrained_nodes = np.unique(space.facet_nodes(np.flatnonzero(border != Border.SKIN)))
     discretization = Discretization(space, np.flatnonzero(border == Border.SKIN), constrained_nodes)
-    tissue = with_ligaments(tissue, case.tissue.ligaments, discretization, constrained_nodes)
+    tissue = with_ligaments(tissue_of(case.tissue, shares), case.tissue.ligaments, discretization, constrained_nodes)
     return SolidModel(
         intact=intact_body(case, discretization, tissue),
         tissue=tissue,
         scar=scar_of(case),
+        shares=shares,
         cavity=cavity,
         centre_mm=centre,
         radius_mm=radius,
