@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
     notes: list[str] = []
     names = names_given(args.label_name)
     found = from_labels(read_labels(args.labels, names, notes.append, axes=args.axes))
-    mesh, E, nu, density = meshed_labels(Anatomy(None, found.labels, found.probabilities), args.edge_mm, TissueTable())
+    mesh, E, nu, density = meshed_labels(Anatomy.of(None, found), args.edge_mm, TissueTable())
     write_body(out, mesh, E, nu, density)
     for note in (*notes, *found.notes, TISSUE, *mesh.notes):
         print(note)

@@ -10,8 +10,7 @@ from scipy import ndimage as ndi
 from scipy.spatial import cKDTree
 
 from ..core.errors import InputError
-from .labels import TISSUES, Label
-from .meshing import Function
+from .labels import TISSUES
 from .volume import Volume
 
 LEVEL = 0.5  # body fraction of a voxel on the surface
@@ -202,12 +201,3 @@ def _crossings(u: Volume, axis: int) -> np.ndarray:
     at = np.stack(index, axis=-1).astype(float)
     at[:, axis] += (LEVEL - low[index]) / (high[index] - low[index])
     return u.position(at)
-
-
-def wall_side(labels: Volume) -> Function | None:
-    """Return a function that is True at surface points (n, 3) [mm] nearer to chest than to air; None without chest labels."""
-    if not (labels.values == Label.CHEST).any():
-        return None
-    kinds = (labels.values == Label.CHEST).astype(np.float32) - (labels.values == Label.AIR)
-    chest_over_air = labels.with_values(ndi.gaussian_filter(kinds, 1.0, mode="nearest"))
-    return lambda points: chest_over_air.sample(points) > 0

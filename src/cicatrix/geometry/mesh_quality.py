@@ -33,7 +33,7 @@ class Quality:
     skin_distance : float
         Hausdorff distance between the skin faces of the mesh and the segmented skin [mm].
     voxel : float
-        Longest edge of a voxel [mm].
+        Longest edge of a voxel, or the size of details that are kept if that is more [mm].
     n_pieces : int
         Number of parts that are not connected through faces.
     is_manifold : bool
@@ -84,6 +84,7 @@ def quality(
     surfaces: tuple[Isosurface, Isosurface],
     is_skin: Function,
     body_volume: float,
+    voxel_mm: float,
 ) -> Quality:
     """Measure the quality of a tetrahedral body mesh.
 
@@ -100,6 +101,8 @@ def quality(
         Returns for points (n, 3) [mm] of the first surface whether they are on the skin (n,).
     body_volume : float
         Reference value for the volume [mm^3].
+    voxel_mm : float
+        Longest edge of a voxel, or the size of details that are kept if that is more [mm].
     """
     size = volumes(nodes, tetrahedra)
     segmented, smooth = surfaces
@@ -109,7 +112,7 @@ def quality(
         volume=float(size.sum()),
         body_volume=body_volume,
         skin_distance=_hausdorff(nodes[faces[skin]], segmented.points[is_skin(segmented.points)], nodes[faces], smooth),
-        voxel=max(segmented.share.spacing_mm),
+        voxel=voxel_mm,
         n_pieces=n_pieces(tetrahedra),
         is_manifold=is_manifold(faces),
     )

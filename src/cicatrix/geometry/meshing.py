@@ -11,6 +11,7 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, label, map_co
 
 from ..core.errors import InputError
 from ..core.posix_signals import restored_signals
+from .borders import Border, BorderAt
 from .section import Raster
 
 INSIDE = 3  # MMG's reference number for the negative side of a level set
@@ -82,16 +83,17 @@ def mesh_section(
     return out.with_subdomains({"cavity": np.flatnonzero(refs == INSIDE)})
 
 
-def label_borders(mesh: skfem.MeshTri, is_wall: Callable[[np.ndarray], np.ndarray]) -> skfem.MeshTri:
-    """Name the outer edges "wall" if ``is_wall`` is true at the point (n, 2) [mm] 1 mm outside the midpoint, otherwise "skin"."""
+def label_borders(mesh: skfem.MeshTri, border: BorderAt) -> skfem.MeshTri:
+    """Name the outer edges "skin", "wall" or "rim", by the `Border` at the point (n, 2) [mm] 1 mm outside their midpoints."""
     facets = mesh.boundary_facets()
     ends = mesh.p[:, mesh.facets[:, facets]]
     middle, along = ends.mean(axis=1).T, (ends[:, 1] - ends[:, 0]).T
     inner = mesh.p[:, mesh.t[:, mesh.f2t[0, facets]]].mean(axis=1).T
     normal = np.stack([along[:, 1], -along[:, 0]], axis=1) / np.linalg.norm(along, axis=1)[:, None]
     normal *= np.sign(np.sum((middle - inner) * normal, axis=1))[:, None]
-    wall = is_wall(middle + normal)
-    return mesh.with_boundaries({"wall": facets[wall], "skin": facets[~wall]})
+    found = border(middle + normal)
+    kinds = {"wall": Border.WALL, "skin": Border.SKIN, "rim": Border.RIM}
+    return mesh.with_boundaries({name: facets[found == kind] for name, kind in kinds.items()})
 
 
 def element_sizes(distance: np.ndarray, edge_mm: float, cavity_edge_mm: float) -> np.ndarray:

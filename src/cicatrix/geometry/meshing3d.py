@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from ..core.errors import InputError
 from .bcc import bcc_lattice
-from .isosurface import Isosurface, SegmentedBody, isosurface, segmented_body, wall_side
+from .borders import Border, BorderAt, border_at, flat_border, wall_heights
+from .isosurface import Isosurface, SegmentedBody, isosurface, segmented_body
 from .mesh_quality import Quality, quality
 from .meshing import INSIDE, Function, element_sizes
 from .solid import Solid, fitted, remesh, split
@@ -18,6 +20,7 @@ from .volume import Volume
 
 MIN_VOXEL_SHARE = 1 / 6  # voxels smaller than this fraction of an element edge are averaged
 FINENESS = 0.3  # largest distance of an edge from the surface [voxels]
+LOOSENESS = 0.2  # largest distance of the edges of a trunk's rim from its surface, as a fraction of an element edge
 MIN_CUT = 0.1  # shortest part of an edge that a cut leaves, as a fraction; nodes are moved to the surface later
 MAX_CUBES = 300_000  # most lattice cubes in the box around the body; results in one to three million elements
 
@@ -27,14 +30,6 @@ class Region(IntEnum):
 
     TISSUE = 0
     CAVITY = 1
-
-
-class Border(IntEnum):
-    """Type of an outer face; nodes on the chest wall and on cuts (faces where the image ends) are constrained."""
-
-    SKIN = 1
-    WALL = 2
-    CUT = 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +64,7 @@ class BodyMesh:
 
     @property
     def constrained_nodes(self) -> np.ndarray:
-        """Constrained nodes: those on the chest wall and on cuts (n,)."""
+        """Constrained nodes: those on the chest wall, on the rim and on cuts (n,)."""
         return np.unique(self.faces[self.marker != Border.SKIN])
 
 
@@ -94,9 +89,46 @@ class Attempt:
     n_rounds: int
     thin_share: float
 
+    def keeping(self, share: float) -> Attempt:
+        """Return the attempt that keeps parts of a thickness, given as a fraction of an element edge."""
+        return replace(self, lattice_share=min(self.lattice_share, share), thin_share=min(self.thin_share, 0.5 * share))
+
 
 MIN_SMOOTHING = 0.8  # lower limit of the smoothing [voxels]
 ATTEMPTS = (Attempt(0.0, 1.0, 2, 2 / 3), Attempt(1.3, 0.7, 2, 1.0), Attempt(0.0, 0.5, 3, 2 / 3))
+
+
+@dataclass(frozen=True, eq=False)
+class _Borders:
+    """What lies outside of the body: ``inside`` the image by a function of points, and at its edge by the labels and the wall.
+
+    The edges of the rim of a trunk may be rounded if ``is_rim_loose``: tissue is held there.
+    """
+
+    inside: BorderAt
+    labels: Volume
+    wall_mm: np.ndarray
+    is_rim_loose: bool
+    edge_mm: float
+
+    def resolution_mm(self, share: Volume) -> np.ndarray:
+        """Return the size of details that are kept along x, y, z (3,) [mm]: a voxel, and around a trunk a share of an element."""
+        voxel = np.asarray(share.spacing_mm)
+        return np.maximum(voxel, MIN_VOXEL_SHARE * self.edge_mm) if self.is_rim_loose else voxel
+
+    def clear_of(self, rim: np.ndarray) -> Function:
+        """Return a function, True at points (n, 3) [mm] farther than an element from the faces (k, 3, 3) of a loose rim."""
+        if not self.is_rim_loose or not len(rim):
+            return lambda points: np.ones(len(points), bool)
+        tree = cKDTree(rim.reshape(-1, 3))
+        return lambda points: tree.query(points)[0] > self.edge_mm
+
+    def fitted(self, nodes: np.ndarray, faces: np.ndarray) -> np.ndarray:
+        """Return those of the outer faces (k, 3) that must lie on the surface closely: all, or those that touch no loose rim."""
+        if not self.is_rim_loose:
+            return faces
+        rim = faces[self.inside(nodes[faces].mean(axis=1)) == Border.RIM]
+        return faces[~np.isin(faces, rim).any(axis=1)]
 
 
 @dataclass(frozen=True)
@@ -119,10 +151,12 @@ def mesh_body(
     edge_mm: float,
     *,
     tissue: Volume | None = None,
+    wall_mm: np.ndarray | None = None,
+    thinnest_mm: float = np.inf,
     cavity: Function | None = None,
     cavity_edge_mm: float = 1.5,
 ) -> BodyMesh:
-    """Mesh the breast of a label map.
+    """Mesh the breast of a label map, with the trunk if that is labelled as tissue.
 
     A lattice of tetrahedra is cut at the smoothed surface of the body and remeshed, and its outer nodes are moved onto the
     surface; the same is done at the border of the cavity. A mesh that fails the quality criteria is made again with the
@@ -136,6 +170,10 @@ def mesh_body(
         Element edge far from and at the border of the cavity [mm].
     tissue : Volume, optional
         Tissue fraction 0 .. 1 of each voxel, on the grid of the labels.
+    wall_mm : (nz, nx) array, optional
+        y of the chest wall [mm], NaN where it is unknown; by default from the labels (`wall_heights`).
+    thinnest_mm : float
+        Thickness of the thinnest parts that must not be left out or torn, such as a trunk [mm].
     cavity : callable, optional
         Signed distance [mm] to the border of the cavity at points (n, 3) [mm], negative inside.
 
@@ -146,12 +184,13 @@ def mesh_body(
         the cavity is not inside the body; or if the mesh fails the quality criteria in every attempt.
     """
     edges = _checked(edge_mm, cavity_edge_mm, cavity)
-    is_wall, failed = wall_side(labels), []
-    for attempt in ATTEMPTS:
+    wall_mm = wall_heights(labels) if wall_mm is None else wall_mm
+    borders, failed = _Borders(border_at(labels, wall_mm), labels, wall_mm, np.isfinite(thinnest_mm), edge_mm), []
+    for attempt in (attempt.keeping(thinnest_mm / edge_mm) for attempt in ATTEMPTS):
         thin = attempt.thin_share * edge_mm
         body = segmented_body(labels, tissue, finest_mm=MIN_VOXEL_SHARE * edge_mm, thin_mm=thin)
         try:
-            mesh = _attempt(body, is_wall, edges, attempt, (*body.notes, *failed))
+            mesh = _attempt(body, borders, edges, attempt, (*body.notes, *failed))
         except RuntimeError as error:  # raised by MMG
             failed.append(f"{attempt}: {error}")
             continue
@@ -172,24 +211,25 @@ def _checked(edge_mm: float, cavity_edge_mm: float, cavity: Function | None) -> 
 
 
 def _attempt(
-    segmented: SegmentedBody, is_wall: Function | None, edges: _Edges, attempt: Attempt, notes: tuple[str, ...]
+    segmented: SegmentedBody, borders: _Borders, edges: _Edges, attempt: Attempt, notes: tuple[str, ...]
 ) -> BodyMesh:
     """Mesh the body with the settings of one attempt and measure the quality of the mesh."""
     share = segmented.share
-    surface = isosurface(share, np.maximum(attempt.smooth_mm, MIN_SMOOTHING * np.asarray(share.spacing_mm)))
-    hausdorff = FINENESS * max(share.spacing_mm)
+    surface = isosurface(share, np.maximum(attempt.smooth_mm, MIN_SMOOTHING * borders.resolution_mm(share)))
+    hausdorff = FINENESS * max(borders.resolution_mm(share))
+    at_rim = LOOSENESS * edges.far if borders.is_rim_loose else hausdorff
     body = _cut_lattice(surface, edges.far, attempt.lattice_share * edges.far)
-    body = remesh(body, edges.at(body.nodes), hausdorff)
+    body = remesh(body, edges.at(body.nodes), at_rim)
     for left in reversed(range(attempt.n_rounds - 1)):
         body = _fitted_skin(body, surface)
         if edges.cavity is not None and left == 0:
             body = split(body, _level_in(body, edges.cavity))
-        body = remesh(body, np.minimum(edges.at(body.nodes), _edge_for(body, surface, hausdorff)), hausdorff)
+        body = remesh(body, np.minimum(edges.at(body.nodes), _edge_for(body, surface, borders, hausdorff)), at_rim)
     for by_face in (False, True):
         body = _fitted_skin(body, surface, by_face)
         if edges.cavity is not None:
             body = fitted(body, boundary(body.tetrahedra[body.refs == INSIDE]), edges.cavity, by_face=by_face)
-    return _measured(body, surface, segmented, is_wall, notes)
+    return _measured(body, surface, segmented, borders, notes)
 
 
 def _cut_lattice(surface: Isosurface, edge: float, lattice_edge: float) -> Solid:
@@ -236,9 +276,9 @@ def _free_faces(body: Solid) -> np.ndarray:
     return faces[~body.is_flat(faces)]
 
 
-def _edge_for(body: Solid, surface: Isosurface, limit_mm: float) -> np.ndarray:
+def _edge_for(body: Solid, surface: Isosurface, borders: _Borders, limit_mm: float) -> np.ndarray:
     """Return the element edge at each node (n,) [mm] for which outer faces deviate from the surface by the limit; inf inside."""
-    faces = _free_faces(body)
+    faces = borders.fitted(body.nodes, _free_faces(body))
     corners = body.nodes[faces]
     middles = 0.5 * (corners + np.roll(corners, 1, axis=1))
     off = np.abs(surface.distance(middles.reshape(-1, 3))).reshape(-1, 3).max(axis=1)
@@ -261,23 +301,32 @@ def _level_in(body: Solid, cavity: Function) -> np.ndarray:
 
 
 def _measured(
-    body: Solid, surface: Isosurface, segmented: SegmentedBody, is_wall: Function | None, notes: tuple[str, ...]
+    body: Solid, surface: Isosurface, segmented: SegmentedBody, borders: _Borders, notes: tuple[str, ...]
 ) -> BodyMesh:
     """Return the finished mesh, with marked outer faces and measured quality."""
     faces = boundary(body.tetrahedra)
-    marker = np.where(body.is_flat(faces), Border.CUT, Border.SKIN).astype(np.uint8)
+    middles = body.nodes[faces].mean(axis=1)
+    on_edge = flat_border(borders.labels, borders.wall_mm, max(surface.share.spacing_mm))
+    marker = np.where(body.is_flat(faces), on_edge(middles), borders.inside(middles)).astype(np.uint8)
 
     def on_skin(points: np.ndarray) -> np.ndarray:
-        return np.ones(len(points), bool) if is_wall is None else ~is_wall(points)
+        return borders.inside(points) == Border.SKIN
 
-    marker[(marker == Border.SKIN) & ~on_skin(body.nodes[faces].mean(axis=1))] = Border.WALL
     if (marker == Border.SKIN).all():
         raise InputError(
             "labels: the breast touches neither chest wall (5) nor the image's edge, so that nothing supports it."
         )
-    skin = marker == Border.SKIN
+    clear = borders.clear_of(body.nodes[faces[(marker == Border.RIM) | (marker == Border.CUT)]])
+    skin = (marker == Border.SKIN) & clear(middles)
     measures = quality(
-        body.nodes, body.tetrahedra, faces, skin, (isosurface(segmented.share), surface), on_skin, segmented.volume
+        body.nodes,
+        body.tetrahedra,
+        faces,
+        skin,
+        (isosurface(segmented.share), surface),
+        lambda points: on_skin(points) & clear(points),
+        segmented.volume,
+        float(max(borders.resolution_mm(surface.share))),
     )
     region = np.where(body.refs == INSIDE, Region.CAVITY, Region.TISSUE).astype(np.uint8)
     return BodyMesh(body.nodes, body.tetrahedra, region, faces, marker, measures, notes)

@@ -101,6 +101,12 @@ class Raster:
         second = self.origin_mm[1] + self.pixel_mm * np.arange(self.shape[0])
         return np.stack(np.meshgrid(first, second), axis=-1)
 
+    def widened(self) -> Raster:
+        """Return the raster with one more pixel on every side."""
+        x, y = self.origin_mm
+        ny, nx = self.shape
+        return Raster((x - self.pixel_mm, y - self.pixel_mm), self.pixel_mm, (ny + 2, nx + 2))
+
     @property
     def extent(self) -> tuple[float, float, float, float]:
         """Coordinates of the raster's left, right, bottom and top border in a figure whose second axis points down [mm]."""

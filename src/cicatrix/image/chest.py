@@ -1,4 +1,4 @@
-"""The chest behind the breast: its wall, found or given, the midline, and the columns of voxels that belong to the breast."""
+"""The chest behind the breast: its wall, found or given, the midline, and the columns of breast and trunk."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from scipy.interpolate import RBFInterpolator
 from ..core.errors import InputError
 from ..geometry.volume import Volume
 from . import wall
+from .trunk import NO_TRUNK, Trunk, around, moved_back, usable
 
 COARSE_MM = 2.0  # voxel edge of the grid on which the chest wall is searched
+INNER = 4  # coarse voxels from the edge of the breast's base, from which on the wall is not moved for a trunk
 BEFORE_EDGE_MM = 1.0  # the wall lies at least this far in front of the image's last row
 
 ChestWall = Mapping[str, object] | np.ndarray | Sequence
@@ -25,33 +27,42 @@ class Chest:
 
     Parameters
     ----------
-    behind : (nz, ny, nx) bool array
-        Voxels behind the chest wall.
+    found_mm, wall_mm : (nz, nx) array
+        y of the wall as found, and moved back where a trunk would be too thin [mm].
     columns : (nz, nx) bool array
         Columns of the breast.
+    beside : (nz, nx) bool array
+        Columns of the trunk around it; none without a trunk.
     midline_mm : float
         x of the midline [mm].
+    shows_both : bool
+        Whether the image shows both breasts.
     skin_mm : (2, n) array
         x, and the median y of the skin there [mm].
     depth_mm : float
         Distance from the skin to the wall that half a per cent of all columns exceeds [mm].
     rear_share : float
         Share of the breast's columns in which the image ends before the wall [1].
-    note : str
-        How the wall was found.
+    notes : tuple of str
+        How the wall was found, and where it was moved.
     """
 
-    behind: np.ndarray
+    found_mm: np.ndarray
+    wall_mm: np.ndarray
     columns: np.ndarray
+    beside: np.ndarray
     midline_mm: float
+    shows_both: bool
     skin_mm: np.ndarray
     depth_mm: float
     rear_share: float
-    note: str
+    notes: tuple[str, ...]
 
 
-def find_chest(flat: Volume, body: np.ndarray, fat_bright: bool, side: str, given: ChestWall | None) -> Chest:
-    """Find the chest behind the breast of one side; the wall is searched, or taken as given.
+def find_chest(
+    flat: Volume, body: np.ndarray, fat_bright: bool, side: str, given: ChestWall | None, trunk: Trunk = NO_TRUNK
+) -> Chest:
+    """Find the chest behind the breast of one side and the trunk around it; the wall is searched, or taken as given.
 
     Parameters
     ----------
@@ -65,16 +76,19 @@ def find_chest(flat: Volume, body: np.ndarray, fat_bright: bool, side: str, give
         "left" or "right".
     given : mapping or (n, 3) array, optional
         A plane, or points of the wall, as in `segment`.
+    trunk : Trunk
+        Margins of trunk. It ends at the midline if the image shows both breasts, and where the image ends before the wall.
 
     Raises
     ------
     InputError
-        If no breast protrudes on that side, or the given wall is unusable.
+        If no breast protrudes on that side, the given wall is unusable, or the skin crosses the wall in the trunk.
     """
     coarse, solid = _coarse(flat, body)
     x_mm, skin = coarse.axis(2), coarse.origin_mm[1] + wall.front(solid) * coarse.spacing_mm[1]
     sign = 1.0 if side == "left" else -1.0
-    midline = wall.find_midline(skin, x_mm, sign)
+    rows = wall.breast_rows(skin)
+    midline, shows_both = wall.find_midline(rows, x_mm, sign)
     on_side = sign * (x_mm - midline) > 0
     if given is None:
         surface, note = _searched_wall(coarse, solid, skin, midline, on_side, fat_bright)
@@ -83,17 +97,28 @@ def find_chest(flat: Volume, body: np.ndarray, fat_bright: bool, side: str, give
     last = flat.axis(1)[-1] - BEFORE_EDGE_MM
     beyond = surface > last
     surface = np.minimum(surface, last)  # the wall must lie within the image
-    columns = wall.foot(surface - skin, on_side, (coarse.spacing_mm[2], coarse.spacing_mm[0]))
-    fine_surface = _refine(surface, coarse, flat)
+    voxel = coarse.spacing_mm[2], coarse.spacing_mm[0]
+    columns = wall.foot(surface - skin, on_side, voxel)
+    found_mm = _refine(surface, coarse, flat)
     fine_columns = _refine(ndi.gaussian_filter(columns.astype(float), 1.0), coarse, flat) > 0.2  # slightly too wide
+    wall_mm, beside, notes = found_mm, np.zeros_like(fine_columns), ()
+    if not trunk.is_empty:
+        wide = around(columns, trunk, side, voxel) & ~beyond & (on_side | (not shows_both))
+        wide = _refine(usable(wide, columns, surface, voxel).astype(float), coarse, flat) > 0.5
+        beside = wide & ~fine_columns & body.any(axis=1)
+        inner = _refine(ndi.binary_erosion(columns, iterations=INNER).astype(float), coarse, flat) > 0.5
+        wall_mm, notes = moved_back(found_mm, body, (wide | fine_columns) & ~inner, flat, is_given=given is not None)
     return Chest(
-        behind=flat.axis(1)[None, :, None] > fine_surface[:, None, :],
+        found_mm=found_mm,
+        wall_mm=wall_mm,
         columns=fine_columns,
+        beside=beside,
         midline_mm=midline,
-        skin_mm=np.stack([x_mm, np.median(skin, axis=0)]),
+        shows_both=shows_both,
+        skin_mm=np.stack([x_mm, np.median(rows, axis=0)]),
         depth_mm=float(np.percentile(np.where(on_side, surface - skin, 0.0), 99.5)),
         rear_share=float(beyond[columns].mean()),
-        note=note,
+        notes=(note, *notes),
     )
 
 

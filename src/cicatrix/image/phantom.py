@@ -8,12 +8,16 @@ from scipy import ndimage as ndi
 from ..core.errors import InputError
 from ..geometry.labels import Label
 from ..geometry.volume import Volume
-from .anatomy import MIDLINE_MM, MUSCLE_MM, RIB_MM, PhantomAnatomy, draw
+from .anatomy import MIDLINE_MM, MUSCLE_MM, RIB_MM, WALL_RADIUS_MM, PhantomAnatomy, draw
+from .trunk import NO_TRUNK, Trunk
 
-SIZE_MM = (120.0, 75.0, 110.0)
+SIZE_MM = (120.0, 75.0, 110.0)  # width, depth and height of the breast
+LEAST_SIZE_MM, LARGEST_SIZE_MM = 30.0, 250.0
 FLANK_MM = 36.0  # width of chest in the image on both sides of the breast
 AIR_MM = 16.0  # depth of air in front of the nipple
 ABOVE_MM = 18.0  # height of chest above and below the breast
+BEYOND_MM = 12.0  # width of chest beyond a trunk
+BEHIND_MM = MUSCLE_MM + RIB_MM + 24.0  # depth of the chest behind the breast's centre
 SUBSAMPLE_MM = 0.8  # largest distance of the points over which a voxel is averaged
 CHUNK = 16384  # points per batch, so that work arrays fit into the cache
 LABEL_OF = np.array([0, 1, 2, 3, 4, 5, 5, 5, 5, 5], np.uint8)  # Part -> Label
@@ -34,6 +38,7 @@ def phantom(
     weighting: str = "t1",
     side: str = "left",
     size_mm: tuple[float, float, float] = SIZE_MM,
+    trunk: Trunk = NO_TRUNK,
     gland_fraction: float | None = None,
     tumour_diameter_mm: float = 14.0,
     tumour_centre_mm: tuple[float, float, float] | None = None,
@@ -58,6 +63,8 @@ def phantom(
         Patient's side, "left" (breast centre at x > 0) or "right".
     size_mm : (3,) tuple
         Width, depth (AP) and height of the breast [mm].
+    trunk : Trunk
+        Margins of trunk around the breast that the field of view shows at least.
     gland_fraction : float, optional
         Fraction of the breast inside the skin that is gland; default: drawn from 15-25 %.
     tumour_diameter_mm, tumour_centre_mm : float, (3,) tuple, optional
@@ -87,7 +94,7 @@ def phantom(
     anatomy = draw(streams[0], half_axes, medial, gland_fraction, None, tumour_diameter_mm / 2)
     if tumour_centre_mm is not None:
         anatomy = _with_tumour_at(anatomy, np.asarray(tumour_centre_mm, float) - shift)
-    grid = phantom_grid(spacing_mm=spacing_mm, side=side, size_mm=size_mm)
+    grid = phantom_grid(spacing_mm=spacing_mm, side=side, size_mm=size_mm, trunk=trunk)
     clean, labels = _average(anatomy, grid, shift, BRIGHTNESS[weighting])
     image = _scan(clean, grid, bias, noise * NOISE[weighting], streams[1], streams[2])
     return grid.with_values(image), grid.with_values(labels)
@@ -111,8 +118,9 @@ def _check(spacing: np.ndarray, size_mm: tuple[float, float, float], weighting: 
         raise InputError(f'phantom: side must be "left" or "right", got "{side}".')
     if not (np.all(spacing > 0) and np.all(spacing <= 10)):
         raise InputError(f"phantom: spacing_mm must lie in (0, 10], got {spacing.tolist()}.")
-    if min(size_mm) < 30 or max(size_mm) > 250:
-        raise InputError(f"phantom: size_mm must lie in [30, 250] along each axis, got {list(size_mm)}.")
+    if min(size_mm) < LEAST_SIZE_MM or max(size_mm) > LARGEST_SIZE_MM:
+        least, most = f"{LEAST_SIZE_MM:g}", f"{LARGEST_SIZE_MM:g}"
+        raise InputError(f"phantom: size_mm must lie in [{least}, {most}] along each axis, got {list(size_mm)}.")
 
 
 def _with_tumour_at(anatomy: PhantomAnatomy, point: np.ndarray) -> PhantomAnatomy:
@@ -126,17 +134,31 @@ def phantom_grid(
     spacing_mm: float | tuple[float, float, float] = 1.0,
     side: str = "left",
     size_mm: tuple[float, float, float] = SIZE_MM,
+    trunk: Trunk = NO_TRUNK,
 ) -> Volume:
     """Return an empty image volume (nz, ny, nx) float32 of :func:`phantom`'s field of view, with its voxels."""
-    spacing, shift = np.broadcast_to(np.asarray(spacing_mm, float), 3), _shift(side)
-    half_axes = np.array([size_mm[0] / 2, size_mm[1], size_mm[2] / 2])
-    low = np.array([-half_axes[0] - FLANK_MM, -half_axes[1] - AIR_MM, -half_axes[2] - ABOVE_MM]) + shift
-    behind = MUSCLE_MM + RIB_MM + 24.0
-    high = np.array([half_axes[0] + FLANK_MM, behind, half_axes[2] + ABOVE_MM]) + shift
+    spacing = np.broadcast_to(np.asarray(spacing_mm, float), 3)
+    low, high = (corner + _shift(side) for corner in _field_of_view(side, size_mm, trunk))
     nx, ny, nz = np.round((high - low) / spacing).astype(int)
     sx, sy, sz = spacing.tolist()
     ox, oy, oz = (low + spacing / 2).tolist()
     return Volume(np.zeros((nz, ny, nx), np.float32), (sx, sy, sz), (ox, oy, oz))
+
+
+def _field_of_view(side: str, size_mm: tuple[float, float, float], trunk: Trunk) -> tuple[np.ndarray, np.ndarray]:
+    """Return the low and the high corner of the field of view, from the breast's centre on the wall: two (3,) [mm].
+
+    It shows the breast with a frame of chest, and more where a trunk needs it; the wall recedes to the lateral side.
+    """
+    medial, lateral = (max(FLANK_MM, margin + BEYOND_MM) for margin in (trunk.medial_mm, trunk.lateral_mm))
+    below, above = (max(ABOVE_MM, margin + BEYOND_MM) for margin in (trunk.below_mm, trunk.above_mm))
+    flanks = (medial, lateral) if side == "left" else (lateral, medial)
+    half_width, depth, half_height = size_mm[0] / 2, size_mm[1], size_mm[2] / 2
+    outermost = MIDLINE_MM + half_width + trunk.lateral_mm
+    recedes = (outermost**2 - MIDLINE_MM**2) / (2 * WALL_RADIUS_MM[0]) + BEYOND_MM if trunk.lateral_mm else 0.0
+    low = np.array([-half_width - flanks[0], -depth - AIR_MM, -half_height - below])
+    high = np.array([half_width + flanks[1], max(BEHIND_MM, recedes), half_height + above])
+    return low, high
 
 
 def _average(

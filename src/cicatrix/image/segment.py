@@ -10,12 +10,14 @@ from scipy import ndimage as ndi
 
 from ..core.errors import InputError
 from ..core.positions import POSITIONS
+from ..geometry.borders import wall_heights
 from ..geometry.labels import TISSUES, Label
 from ..geometry.volume import Volume
 from .bias import remove_bias
-from .chest import ChestWall, find_chest
+from .chest import Chest, ChestWall, find_chest
 from .classify import bright_mass, gland_probability, skin_probability
 from .judge import judge, judge_labels
+from .trunk import NO_TRUNK, Trunk, cut_share, extent, shortfall
 
 EDGE_MM = 3.0  # largest depth of the skin's edge below the rough outline
 EDGE_SHARE_T1, EDGE_SHARE_FATSAT = 0.2, 0.5  # level of that edge between air (0) and the brightest tissue near it (1)
@@ -32,15 +34,22 @@ class Segmentation:
     Parameters
     ----------
     labels : Volume
-        (nz, ny, nx) uint8 of `Label`.
+        (nz, ny, nx) uint8 of `Label`. Tissue of the trunk is part of the chest.
     probabilities : Volume
-        (4, nz, ny, nx) float32 in the order of `TISSUES`; sums to 1 inside the breast, 0 elsewhere.
+        (4, nz, ny, nx) float32 in the order of `TISSUES`; sums to 1 inside the breast and the trunk, 0 elsewhere.
+    body : Volume
+        (nz, ny, nx) float32, share of breast and trunk in each voxel. With a trunk it is below 1 in voxels that skin, wall or the
+        trunk's border cuts, so that these lie between voxels.
+    wall_mm : (nz, nx) array
+        y of the chest wall [mm]; NaN where it is unknown.
     notes : tuple of str
         Messages for the record of the run that say how the image was segmented.
     """
 
     labels: Volume
     probabilities: Volume
+    body: Volume
+    wall_mm: np.ndarray
     notes: tuple[str, ...]
 
 
@@ -51,10 +60,11 @@ def segment(
     side: str,
     position: str = "prone",
     chest_wall: ChestWall | None = None,
+    trunk: Trunk = NO_TRUNK,
     resection_centre_mm: tuple[float, float, float] | None = None,
     report: Report | None = None,
 ) -> Segmentation:
-    """Segment the breast of one side: skin, then chest wall, then tissue classes.
+    """Segment the breast of one side, with the trunk around it: skin, then chest wall, then tissue classes.
 
     Parameters
     ----------
@@ -69,6 +79,8 @@ def segment(
     chest_wall : mapping or (n, 3) array, optional
         Given wall instead of the automatic one: a plane ``{"point_mm": (3,), "normal": (3,)}``, or n >= 4 points [mm]
         that are interpolated by a thin-plate spline.
+    trunk : Trunk
+        Margins of trunk around the breast, whose tissue is skin and fat; none by default.
     resection_centre_mm : (3,) tuple, optional
         In fat-saturated images, a bright compact mass at this point is labelled as tumour. Otherwise tumour tissue is not
         distinguished from gland.
@@ -78,28 +90,71 @@ def segment(
     Raises
     ------
     InputError
-        If an option is unknown, the image shows no body or no breast, the given chest wall is unusable, or what is found cannot
-        be a breast (`judge`).
+        If an option is unknown, the image shows no body or no breast, the given chest wall is unusable, the skin crosses the wall
+        beside the breast, or what is found cannot be a breast (`judge`).
     """
     report = report or (lambda stage, fraction: None)
     _check_words(weighting, side, position)
     report("body", 0.0)
-    body = _edge_found(image, _body(image), weighting == "t1")
+    body, skin_share = _edge_found(image, _body(image), weighting == "t1")
     report("bias field", 0.1)
     flat = remove_bias(image, body)
     report("chest wall", 0.5)
-    chest = find_chest(flat, body, weighting == "t1", side, chest_wall)
-    breast = _largest(body & ~chest.behind & chest.columns[:, None, :])
-    body |= np.maximum.accumulate(body, axis=1) & chest.behind  # dark lungs belong to the body
+    chest = find_chest(flat, body, weighting == "t1", side, chest_wall, trunk)
+    behind = _behind(flat, chest.found_mm)
+    breast = _largest(body & ~behind & chest.columns[:, None, :])
+    beside = _beside(body & ~_behind(flat, chest.wall_mm), chest, breast)
+    body |= np.maximum.accumulate(body, axis=1) & behind  # dark lungs belong to the body
     report("tissue", 0.65)
-    box = _box(breast)
-    probabilities, mass = _tissue(flat, body, breast, box, weighting, resection_centre_mm)
+    probabilities, mass = _tissue(flat, body, breast, _box(breast), weighting, resection_centre_mm)
     labels = _labels(probabilities, body, breast)
     doubt = judge(flat.with_values(labels), flat, probabilities[0], chest, side)
+    _add_trunk(probabilities, body, beside, flat.spacing_mm)
+    share = probabilities.sum(axis=0)
+    if beside.any():
+        share = cut_share(breast | beside, skin_share, chest.wall_mm, flat)
     how = f"{weighting}, {side} breast, {position}; N4 bias field, skin at its edge to air"
     report("done", 1.0)
-    notes = tuple(note for note in (how, chest.note, mass, doubt) if note)
-    return Segmentation(image.with_values(labels), image.with_values(probabilities), notes)
+    notes = (how, *chest.notes, *_trunk_notes(trunk, chest, breast, beside, side, flat), mass, doubt)
+    wanted = tuple(note for note in notes if note)
+    labelled, probable, of_body = (image.with_values(values) for values in (labels, probabilities, share))
+    return Segmentation(labelled, probable, of_body, chest.wall_mm, wanted)
+
+
+def _behind(grid: Volume, wall_mm: np.ndarray) -> np.ndarray:
+    """Return the voxels behind a wall: y (nz, nx) [mm] -> (nz, ny, nx) bool."""
+    return grid.axis(1)[None, :, None] > wall_mm[:, None, :]
+
+
+def _beside(front: np.ndarray, chest: Chest, breast: np.ndarray) -> np.ndarray:
+    """Return the trunk, the part of the body in front of the wall that is connected with the breast (nz, ny, nx) bool."""
+    if not chest.beside.any():
+        return np.zeros_like(breast)
+    return _largest(breast | (front & (chest.beside | chest.columns)[:, None, :])) & ~breast
+
+
+def _add_trunk(
+    probabilities: np.ndarray, body: np.ndarray, trunk: np.ndarray, spacing_mm: tuple[float, float, float]
+) -> None:
+    """Add skin and fat of the trunk (nz, ny, nx) bool to the probabilities (4, nz, ny, nx), in place."""
+    if not trunk.any():
+        return
+    box = _box(trunk)
+    skin, inside = skin_probability(body[box], spacing_mm), trunk[box]
+    for label, share in ((Label.SKIN, skin), (Label.FAT, 1.0 - skin)):
+        probabilities[(TISSUES.index(label), *box)][inside] = share[inside]
+
+
+def _trunk_notes(
+    trunk: Trunk, chest: Chest, breast: np.ndarray, beside: np.ndarray, side: str, grid: Volume
+) -> tuple[str, ...]:
+    """Return notes on how much trunk there is."""
+    if trunk.is_empty:
+        return ()
+    base, domain = breast.any(axis=1), (breast | beside).any(axis=1)
+    found = extent(base, domain, side, (grid.spacing_mm[2], grid.spacing_mm[0]))
+    ml = np.count_nonzero(beside) * np.prod(grid.spacing_mm) / 1000
+    return f"{ml:.0f} ml of trunk around the breast", *shortfall(trunk, found, chest.shows_both)
 
 
 def from_labels(labels: Volume) -> Segmentation:
@@ -117,7 +172,10 @@ def from_labels(labels: Volume) -> Segmentation:
     soft = np.stack([ndi.gaussian_filter((values == t).astype(np.float32), 0.5) * breast for t in TISSUES])
     soft /= np.maximum(soft.sum(axis=0), 1e-6)
     notes = ("labels imported", *judge_labels(labels.with_values(values)))
-    return Segmentation(labels.with_values(values), labels.with_values(soft), notes)
+    found = labels.with_values(values)
+    return Segmentation(
+        found, labels.with_values(soft), labels.with_values(soft.sum(axis=0)), wall_heights(found), notes
+    )
 
 
 def _check_words(weighting: str, side: str, position: str) -> None:
@@ -153,19 +211,33 @@ def _body(image: Volume) -> np.ndarray:
     return rough
 
 
-def _edge_found(image: Volume, rough: np.ndarray, fat_bright: bool) -> np.ndarray:
+def _edge_found(image: Volume, rough: np.ndarray, fat_bright: bool) -> tuple[np.ndarray, np.ndarray]:
     """Shrink the rough body mask, which extends beyond the skin where the breast is bright, to the edge of the skin.
 
     In a fat-saturated image the skin is bright, and its edge lies halfway between air and the brightest tissue nearby.
     Without fat saturation the skin is dark in front of bright fat, and its edge lies at a lower level.
+
+    Returns
+    -------
+    (nz, ny, nx) bool array
+        Voxels of the body.
+    (nz, ny, nx) float32 array
+        Share of the body in each voxel: at its edge 1/2 where the image has that level.
     """
     size = image.spacing_mm[::-1]
     air = float(np.median(image.values[~rough])) if not rough.all() else 0.0
     reach = ndi.distance_transform_edt(rough, sampling=size) <= EDGE_MM  # pyright: ignore[reportOperatorIssue]
     peak = ndi.maximum_filter(image.values, [2 * max(round(EDGE_MM / s), 1) + 1 for s in size])
     level = air + (EDGE_SHARE_T1 if fat_bright else EDGE_SHARE_FATSAT) * (peak - air)
-    body = _largest(rough & ~(reach & (image.values < level)))
-    return _filled(body)
+    body = _filled(_largest(rough & ~(reach & (image.values < level))))
+    return body, _share(body, 0.5 * (image.values - air) / np.maximum(level - air, 1e-6))
+
+
+def _share(mask: np.ndarray, at_edge: np.ndarray) -> np.ndarray:
+    """Return the share of a mask in voxels (nz, ny, nx): 1 inside, 0 outside, as given on both sides of its edge."""
+    inside, outside = ndi.binary_erosion(mask, border_value=1), ~np.asarray(ndi.binary_dilation(mask))
+    share = np.clip(at_edge, np.where(mask, 0.5, 0.0), np.where(mask, 1.0, 0.5))
+    return np.where(inside, 1.0, np.where(outside, 0.0, share)).astype(np.float32)
 
 
 def _otsu(v: np.ndarray) -> float:

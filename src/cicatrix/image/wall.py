@@ -13,6 +13,7 @@ from ..geometry.volume import Volume
 from .contour import evolve, heaviside
 
 THORAX_RADIUS_MM = 180.0  # radius of curvature of the prior across the body
+LEVEL_MM, ALONG_MM = 1.0, 20.0  # the skin stops receding where it recedes by less than this over that distance
 BEHIND_SKIN_MM = 12.0  # prior depth of the wall behind the skin at the midline
 WINDOW_MM = (-22.0, 42.0)  # search range relative to the prior
 REACH_MM = 7.0  # depth of the tissue that is compared on either side of the wall
@@ -30,10 +31,21 @@ def front(body: np.ndarray) -> np.ndarray:
     return np.where(body.any(axis=1), body.argmax(axis=1), body.shape[1]).astype(float)
 
 
-def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> float:
-    """Return x of the midline, where the skin between the breasts is most posterior: y of the skin (nz, nx) [mm] -> x [mm].
+def breast_rows(skin_mm: np.ndarray) -> np.ndarray:
+    """Return the rows of the skin that tell of the breast: y of the skin (nz, nx) [mm] -> (n, nx) [mm].
 
-    With only one breast in the image, it is 20 mm medial of the point at which the skin stops receding.
+    They are all rows, or, if more than half of them pass above and below the breasts, those that pass through one.
+    """
+    foremost = skin_mm.min(axis=1)
+    through = foremost < 0.5 * (foremost.min() + foremost.max())
+    return skin_mm if through.mean() >= 0.5 else skin_mm[through]
+
+
+def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> tuple[float, bool]:
+    """Return x of the midline, and whether the image shows both breasts: y of the skin (nz, nx) [mm] -> x [mm], bool.
+
+    The skin between two breasts is most posterior at the midline. With only one breast in the image, the midline is 20 mm medial
+    of the point at which the skin stops receding.
     """
     profile = ndi.gaussian_filter1d(np.nanmedian(skin_mm, axis=0), 3)
     here = sign * (x_mm - 0.5 * (x_mm[0] + x_mm[-1]))
@@ -42,11 +54,24 @@ def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> float:
     apex = [profile[: middle[0]].min(), profile[middle[-1] + 1 :].min()]
     deepest = middle[np.argmax(profile[middle])]
     if min(profile[deepest] - apex[0], profile[deepest] - apex[1]) > 0.4 * (profile.max() - profile.min()) * 0.5:
-        return float(x_mm[deepest])  # two breasts
+        return float(x_mm[deepest]), True
     peak = int(np.argmin(profile))
     medial = np.arange(peak, -1, -1) if sign > 0 else np.arange(peak, len(x_mm))
+    medial = medial[: _until_level(profile[medial], abs(x_mm[1] - x_mm[0]))]
     flat = x_mm[medial[np.argmax(profile[medial] > profile[medial].max() - 3.0)]]
-    return float(np.clip(flat - sign * 20.0, x_mm[0], x_mm[-1]))
+    return float(np.clip(flat - sign * 20.0, x_mm[0], x_mm[-1])), False
+
+
+def _until_level(profile: np.ndarray, step_mm: float) -> int:
+    """Return the number of points after which the skin has stopped receding: y of the skin from the apex on (n,) [mm] -> int.
+
+    The trunk beyond the breast, which may recede again, is left out that way.
+    """
+    n = max(round(ALONG_MM / step_mm), 1)
+    ahead = np.lib.stride_tricks.sliding_window_view(np.pad(profile, (0, n), mode="edge"), n + 1).max(axis=1)
+    is_low = profile - profile[0] > 0.5 * (profile.max() - profile[0])
+    level = np.flatnonzero(is_low & (ahead - profile < LEVEL_MM))
+    return int(level[0]) + n + 1 if len(level) else len(profile)
 
 
 def prior(skin_mm: np.ndarray, x_mm: np.ndarray, midline_mm: float) -> np.ndarray:

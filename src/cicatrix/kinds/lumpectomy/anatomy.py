@@ -11,6 +11,7 @@ from ...geometry.labels import TISSUES, Label
 from ...geometry.volume import Volume
 from ...image.phantom import phantom
 from ...image.segment import Segmentation, from_labels, segment
+from ...image.trunk import Trunk
 from ...runs.progress import Progress
 from .body import Anatomy
 from .case import ImageTable, LumpectomyCase
@@ -32,7 +33,12 @@ def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[
     with progress.stage("image"):
         if image.phantom is not None:
             picture, truth = phantom(
-                spacing_mm=image.voxel_mm, seed=case.run.seed, weighting=image.weighting, side=image.side
+                spacing_mm=image.voxel_mm,
+                seed=case.run.seed,
+                weighting=image.weighting,
+                side=image.side,
+                size_mm=size_of(image),
+                trunk=trunk_of(case),
             )
             tumour = truth.position(np.argwhere(truth.values == Label.TUMOUR).mean(axis=0))
         elif image.path is not None:
@@ -40,10 +46,23 @@ def anatomy_of(case: LumpectomyCase, progress: Progress | None = None) -> tuple[
     with progress.stage("segment"):
         if image.labels is not None:
             found = _imported(image, picture, notes)
+            if not trunk_of(case).is_empty:
+                notes.append("a label map has no trunk: the body ends beside the breast, and is held there")
         else:
             centre = case.resection.centre_mm if tumour is None else tuple(tumour.tolist())
             found = _segment(case, picture, centre, progress)
-    return Anatomy(picture, found.labels, found.probabilities, tumour), (*notes, *found.notes)
+    return Anatomy.of(picture, found, tumour), (*notes, *found.notes)
+
+
+def trunk_of(case: LumpectomyCase) -> Trunk:
+    """Return the margins of trunk that the case asks for."""
+    return Trunk(**case.trunk.model_dump())
+
+
+def size_of(image: ImageTable) -> tuple[float, float, float]:
+    """Return width, depth and height of the phantom's breast [mm]."""
+    width, depth, height = image.phantom_size_mm
+    return width, depth, height
 
 
 def _imported(image: ImageTable, picture: Volume | None, notes: list[str]) -> Segmentation:
@@ -97,6 +116,7 @@ def _segment(
         side=image.side,
         position=image.position,
         chest_wall=wall,
+        trunk=trunk_of(case),
         resection_centre_mm=centre,
         report=lambda stage, fraction: progress.update(fraction, stage),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -11,16 +12,20 @@ from ...core.errors import InputError
 from ...core.positions import down
 from ...core.units import STANDARD_GRAVITY_M_S2, acceleration_mm_s2, density_kg_mm3
 from ...coupling.cavity import Tissue, tissue_law
+from ...geometry.borders import wall_heights
+from ...geometry.chest_wall import inframammary_fold, wall_distance
 from ...geometry.labels import TISSUES, Label
 from ...geometry.volume import Volume
+from ...image.segment import Segmentation
 from ...materials.locking_skin import LockingSkin
 from ...materials.material import Material
 from ...materials.neo_hookean import NeoHookean, moduli_from_young
 from ...mechanics.body import Body, Discretization
 from ...mechanics.elements import meshed_wrinkling_strain
-from ...mechanics.space import SolidSpace, Space
+from ...mechanics.space import AnySpace, SolidSpace, Space
 from ...outcome.change import ShapeChange
 from .case import LumpectomyCase, SkinTable, TissueTable
+from .fascia import Wall
 
 MAX_NIPPLE_DISTANCE_MM = 15.0  # largest distance of a given nipple from the skin of the mesh
 MIN_SKIN_FLAP_MM = 3.0  # the cavity stays this far below the skin and off the chest wall
@@ -30,18 +35,59 @@ MIN_SKIN_FLAP_MM = 3.0  # the cavity stays this far below the skin and off the c
 class Anatomy:
     """The segmented image: labels (nz, ny, nx) and tissue probabilities (4, nz, ny, nx) on one grid.
 
-    ``tumour_mm`` (3,) LPS [mm] is the position of the tumour, if it is known from another source than the labels.
+    The probabilities hold the breast and the trunk around it, the labels only the breast. ``tumour_mm`` (3,) LPS [mm] is the
+    position of the tumour, if it is known from another source than the labels. ``found_body`` (nz, ny, nx) [1] and
+    ``found_wall_mm`` (nz, nx) [mm] are the share of breast and trunk and the y of the chest wall, NaN where it is unknown;
+    without them, they follow from the probabilities and the labels.
     """
 
     image: Volume | None
     labels: Volume
     probabilities: Volume
     tumour_mm: np.ndarray | None = None
+    found_body: Volume | None = None
+    found_wall_mm: np.ndarray | None = None
+
+    @classmethod
+    def of(cls, image: Volume | None, found: Segmentation, tumour_mm: np.ndarray | None = None) -> Anatomy:
+        """Return the anatomy of a segmentation."""
+        return cls(image, found.labels, found.probabilities, tumour_mm, found.body, found.wall_mm)
 
     @property
-    def breast(self) -> Volume:
-        """Share of breast in each voxel (nz, ny, nx) [1]."""
+    def body(self) -> Volume:
+        """Share of breast and trunk in each voxel (nz, ny, nx) [1]."""
+        if self.found_body is not None:
+            return self.found_body
         return self.probabilities.with_values(self.probabilities.values.sum(axis=0))
+
+    @cached_property
+    def has_trunk(self) -> bool:
+        """Whether the body has a trunk around the breast."""
+        return bool(self._in_trunk.any())
+
+    @property
+    def _in_trunk(self) -> np.ndarray:
+        return (self.labels.values == Label.CHEST) & (self.probabilities.values.sum(axis=0) > 0.5)
+
+    @cached_property
+    def domain(self) -> Volume:
+        """Labels (nz, ny, nx) in which the trunk is fat instead of chest."""
+        return self.labels.with_values(np.where(self._in_trunk, np.uint8(Label.FAT), self.labels.values))
+
+    @cached_property
+    def wall_mm(self) -> np.ndarray:
+        """Position y of the chest wall (nz, nx) [mm]; NaN where it is unknown."""
+        return wall_heights(self.labels) if self.found_wall_mm is None else self.found_wall_mm
+
+    @cached_property
+    def wall_distance(self) -> Volume:
+        """Signed distance to the chest wall, positive in front of it (nz, ny, nx) [mm], around the body; `wall_distance`."""
+        return wall_distance(self.domain, self.wall_mm)
+
+    @cached_property
+    def fold(self) -> np.ndarray:
+        """Inframammary fold (2, nx) [mm]: x of each column, and z of the lower border of the breast's base, NaN where none is."""
+        return inframammary_fold(self.labels)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -56,6 +102,8 @@ class BreastModel(ABC):
         Tissue before surgery, and new tissue in the cavity.
     shares : (n_elements, n_qp, 4) array [1]
         Probability of each tissue at the quadrature points, in the order of ``TISSUES``.
+    wall : Wall or None
+        Chest wall on which the body slides.
     cavity : (n_elements,) bool array
         Elements that the resection removes.
     centre_mm : (3,) array [mm]
@@ -74,6 +122,7 @@ class BreastModel(ABC):
     tissue: Tissue
     scar: Tissue
     shares: np.ndarray
+    wall: Wall | None
     cavity: np.ndarray
     centre_mm: np.ndarray
     radius_mm: float
@@ -143,7 +192,8 @@ class BreastModel(ABC):
     def common_arrays(self) -> dict[str, np.ndarray]:
         """Return the arrays of tissue, resection and fascia, which sections and solids both store."""
         resection = {"centre_mm": self.centre_mm, "radius_mm": np.array(self.radius_mm)}
-        return {"shares": self.shares, **resection}
+        wall = {} if self.wall is None else self.wall.arrays()
+        return {"shares": self.shares, **wall, **resection}
 
 
 def resection_of(case: LumpectomyCase, anatomy: Anatomy) -> np.ndarray:
@@ -185,8 +235,24 @@ def scar_of(case: LumpectomyCase) -> Tissue:
     return Tissue(mu, kappa, np.asarray(new.stiffening), density_kg_mm3(new.density_kg_m3))
 
 
-def intact_body(case: LumpectomyCase, discretization: Discretization, tissue: Tissue) -> Body:
-    """Build the body before surgery from its mesh and tissue."""
+def supported(
+    case: LumpectomyCase, space: AnySpace, skin: np.ndarray, wall: np.ndarray, rim: np.ndarray
+) -> Discretization:
+    """Return the discretisation of a body with given facets on skin, chest wall and rim.
+
+    The rim is held. On the wall the body slides, or is held too if the case says so. Without a rim, as where a breast is cut off
+    flat at the chest wall, the edge between skin and wall is held in its place.
+    """
+    if not case.fascia.slides:
+        return Discretization(space, skin, np.unique(space.facet_nodes(np.concatenate([wall, rim]))))
+    held = np.unique(space.facet_nodes(rim))
+    if not len(rim):
+        held = np.intersect1d(space.facet_nodes(skin), space.facet_nodes(wall))
+    return Discretization(space, skin, held, wall_facets=wall)
+
+
+def intact_body(case: LumpectomyCase, discretization: Discretization, tissue: Tissue, wall: Wall | None) -> Body:
+    """Build the body before surgery from its mesh and tissue, on its chest wall."""
     skin = case.tissue.skin
     natural = np.broadcast_to(np.eye(3), (*tissue.mu.shape, 3, 3))
     return Body(
@@ -198,6 +264,7 @@ def intact_body(case: LumpectomyCase, discretization: Discretization, tissue: Ti
         skin_thickness=np.full(len(discretization.skin_facets), skin.thickness_mm),
         wrinkling_strain=_wrinkling_strain(case, discretization),
         skin_prestretch=skin.prestretch,
+        fascia=None if wall is None else wall.fascia(case.fascia),
     )
 
 
@@ -206,7 +273,7 @@ def skin_law(skin: SkinTable) -> Material:
     mu, kappa = moduli_from_young(skin.E_kPa, skin.nu)
     if not skin.stiff_kPa:
         return NeoHookean(mu, kappa)
-    return LockingSkin(mu, skin.stiff_kPa, skin.steepness, skin.locking_stretch, kappa=kappa)
+    return LockingSkin(mu, skin.stiff_kPa, skin.steepness, skin.prestretch * skin.locking_stretch, kappa=kappa)
 
 
 def _wrinkling_strain(case: LumpectomyCase, discretization: Discretization) -> float:

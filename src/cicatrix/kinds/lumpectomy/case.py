@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import numpy as np
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, StrictBool, model_validator
 
 from ...cases.bounds import (
     Ascending,
@@ -22,6 +22,7 @@ from ...cases.bounds import (
     PoissonRatio,
     Positive,
     Probability,
+    Rule,
     Vector,
     bounds,
     fault,
@@ -42,6 +43,7 @@ from ...healing.rates import (
     rules_at_pitch,
 )
 from ...healing.rules import AutomatonRules
+from ...image.phantom import LARGEST_SIZE_MM, LEAST_SIZE_MM, SIZE_MM
 from .sites import box_around, too_many
 from .sources import sources_of
 
@@ -58,6 +60,12 @@ MODEL_KEYS: dict[str, tuple[str, ...]] = {
 MODEL_WORDS = {"automaton": "cellular automaton", "fields": "continuum: cells, cytokine and collagen"}  # for a menu
 ModelName: Any = Literal[tuple(MODEL_KEYS)]
 SOLID_EDGES_MM = {"edge_mm": 5.0, "cavity_edge_mm": 2.0}  # defaults of a mesh in three dimensions
+
+
+PhantomSize = Annotated[
+    tuple[Annotated[Number, bounds(least=LEAST_SIZE_MM, most=LARGEST_SIZE_MM)], ...],
+    AfterValidator(Rule("must be a list of 3 numbers", lambda sizes: len(sizes) == 3)),
+]
 
 
 class ChestWallTable(Table):
@@ -90,6 +98,7 @@ class ImageTable(Table):
     path: Path | None = None  # an image file, or a folder with one DICOM series; see docs/images.md
     phantom: Literal["half-ellipsoid"] | None = None  # a synthetic breast instead of an image
     voxel_mm: Annotated[Positive, bounds(most=20.0)] = 1.0  # voxel size of the phantom
+    phantom_size_mm: PhantomSize = SIZE_MM  # width, depth and height of the phantom's breast
     weighting: Literal["t1", "t1-fatsat"] = "t1"  # contrast of the MR image: T1, without or with fat suppression
     # position of the patient in the image
     position: Position = "prone"  # pyright: ignore[reportInvalidTypeForm]
@@ -111,6 +120,8 @@ class ImageTable(Table):
         if self.axes is not None and self.axes not in AXES:
             words = "must be the directions of x, y and z, one each of L or R, A or P, S or I, without mirroring"
             raise fault("axes", f'{words}; got "{self.axes}"')
+        if self.phantom is None and "phantom_size_mm" in self.model_fields_set:
+            raise fault("phantom_size_mm", "belongs to image.phantom, which is left out")
         if self.phantom is not None and self.labels is not None:
             raise fault("labels", "and phantom exclude each other: the phantom has its own labels")
         if self.label_names and self.labels is None:
@@ -122,9 +133,30 @@ class ImageTable(Table):
         return self
 
 
+class TrunkTable(Table):
+    """Trunk around the breast that moves with it: skin and fat in front of the chest wall, held at its outer border.
+
+    The margins are measured from the base of the breast; all 0 is the breast alone. The trunk ends at the midline if the image
+    shows both breasts, because the sternum holds the skin there, and where the image ends. A label map has no trunk.
+    """
+
+    medial_mm: NotNegative = 60.0  # margin towards the midline
+    lateral_mm: NotNegative = 80.0  # margin towards the armpit
+    above_mm: NotNegative = 40.0  # margin above the breast
+    below_mm: NotNegative = 60.0  # margin below the breast
+
+
 FAT_KPA = 0.3  # Young's modulus of fat, to which those of the other tissues are related
 STIFFENING = 2.0  # exponent b of the exponential law
 Stiffening = Annotated[NotNegative, bounds(most=100.0)]
+
+
+class FasciaTable(Table):
+    """Deep fascia between the breast and the chest wall: the breast slides there, held back by springs, and does not lift off."""
+
+    slides: StrictBool = True  # false: the breast is fixed to the chest wall
+    stiffness_kPa_per_mm: NotNegative = 0.01  # traction along the wall per displacement
+    fold_factor: Annotated[Number, bounds(least=1.0)] = 20.0  # how much stiffer it is along the inframammary fold
 
 
 class FatTable(Table):
@@ -153,12 +185,10 @@ class SkinTable(Table):
     density_kg_m3: Positive = 1090.0  # mass density
     thickness_mm: Positive = 1.45  # thickness of the layer
     prestretch: Annotated[Positive, bounds(most=2.0)] = 1.1  # in-plane stretch of the skin in the body without gravity
-    locking_stretch: Annotated[Number, bounds(least=1.0, most=10.0)] = (
-        1.25  # stretch beyond which skin stiffens steeply
-    )
-    stiff_kPa: NotNegative = (
-        43.0  # stress beyond that stretch is stiff_kPa (exp(steepness (stretch - locking_stretch)) - 1)
-    )
+    # further stretch, beyond the prestretch, from which skin stiffens steeply
+    locking_stretch: Annotated[Number, bounds(least=1.0, most=10.0)] = 1.25
+    # stress beyond that stretch is stiff_kPa (exp(steepness (stretch - locking stretch)) - 1)
+    stiff_kPa: NotNegative = 43.0
     steepness: Annotated[Number, bounds(least=0.01, most=200.0)] = 8.0  # growth of that stress with stretch
 
 
@@ -319,6 +349,8 @@ class LumpectomyCase(Case):
     kind: Literal["lumpectomy"] = "lumpectomy"  # kind of the case
     dimension: Literal[2, 3] = 2  # 2: a plane section of the breast; 3: the whole breast
     image: ImageTable
+    trunk: TrunkTable = TrunkTable()
+    fascia: FasciaTable = FasciaTable()
     tissue: TissueTable = TissueTable()
     resection: ResectionTable = ResectionTable()
     healing: HealingTable = HealingTable()

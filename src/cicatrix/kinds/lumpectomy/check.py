@@ -15,6 +15,7 @@ from ...files.segmentations import read_labels
 from ...geometry.labels import TISSUES
 from ...geometry.volume import Volume
 from ...image.phantom import phantom_grid
+from .anatomy import size_of, trunk_of
 from .body import Anatomy, resection_of
 from .case import LumpectomyCase
 from .continuum import continuum_values
@@ -69,7 +70,7 @@ def _box(case: LumpectomyCase, notes: list[str]) -> np.ndarray | None:
     """Return the lowest and the highest corner of the image (2, 3) LPS [mm], None if there is no image; add notes on reading."""
     given = case.image
     if given.phantom is not None:
-        return _box_of(phantom_grid(spacing_mm=min(given.voxel_mm, 10.0), side=given.side))
+        return _box_of(_phantom_grid(case))
     if not isinstance(given.path, Path):
         return None
     if given.path.is_file() and given.path.stat().st_size > LARGEST:
@@ -77,6 +78,12 @@ def _box(case: LumpectomyCase, notes: list[str]) -> np.ndarray | None:
         if box is not None:
             return box
     return _box_of(read_image(given.path, note=notes.append, side=given.side, axes=given.axes, name="image.path"))
+
+
+def _phantom_grid(case: LumpectomyCase) -> Volume:
+    image = case.image
+    spacing = min(image.voxel_mm, 10.0)
+    return phantom_grid(spacing_mm=spacing, side=image.side, size_mm=size_of(image), trunk=trunk_of(case))
 
 
 def _box_of(volume: Volume) -> np.ndarray:

@@ -26,7 +26,7 @@ def meshed_labels(
     InputError
         If there is no breast, it touches no chest wall, or meshing fails.
     """
-    mesh = mesh_body(anatomy.labels, edge_mm, tissue=anatomy.breast)
+    mesh = mesh_body(anatomy.domain, edge_mm, tissue=anatomy.body, wall_mm=anatomy.wall_mm)
     space = SolidSpace(*with_middles(mesh.nodes, mesh.tetrahedra))
     found = tissue_of(tissue, shares_at(anatomy, quadrature_points(space)))
     E, nu = young_from_moduli(found.mu.mean(axis=1), found.kappa.mean(axis=1))

@@ -11,11 +11,10 @@ import skfem
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ...core.errors import InputError
+from ...geometry.borders import Border, BorderAt, extended, height_at
 from ...geometry.labels import Label
 from ...geometry.meshing import component_at, interpolant, label_borders, mesh_section, signed_distance
 from ...geometry.section import Raster, Section
-from ...geometry.volume import Volume
-from ...mechanics.body import Discretization
 from ...mechanics.space import Space
 from ...outcome.change import ShapeChange
 from ...outcome.shape import compare
@@ -30,9 +29,11 @@ from .body import (
     resection_of,
     scar_of,
     shares_at,
+    supported,
     tissue_of,
 )
 from .case import LumpectomyCase
+from .fascia import Wall, distance_in_section, in_fold
 from .ligaments import with_ligaments
 
 
@@ -45,11 +46,16 @@ class SectionModel(BreastModel):
     section : Section
         Plane of the section.
     mesh : skfem.MeshTri
-        Mesh with the subdomain "cavity" and the boundaries "skin" and "wall".
+        Mesh with the subdomain "cavity" and the boundaries "skin", "wall" and "rim".
     """
 
     section: Section
     mesh: skfem.MeshTri
+
+    @property
+    def wall_facets(self) -> np.ndarray:
+        """Edges of the mesh on the chest wall (n,)."""
+        return self.mesh.boundaries["wall"]
 
     @property
     def slice_mm(self) -> float:
@@ -81,6 +87,7 @@ class SectionModel(BreastModel):
             "cavity": mesh.subdomains["cavity"],
             "skin": mesh.boundaries["skin"],
             "wall": mesh.boundaries["wall"],
+            "rim": mesh.boundaries["rim"],
             "section_mm": np.array(self.section.position_mm),
         }
 
@@ -132,17 +139,26 @@ def section_model(case: LumpectomyCase, anatomy: Anatomy) -> SectionModel:
         case.mesh.edge_mm,
         case.mesh.cavity_edge_mm,
     )
-    mesh = label_borders(mesh, _is_wall(anatomy.labels, section, raster))
+    mesh = label_borders(mesh, _border(anatomy, section, raster))
     points = section.to_patient(quadrature_points(Space(mesh))[..., :2])
-    return _filled(case, section, mesh, shares_at(anatomy, points), centre, radius)
+    wall = _wall(anatomy, section, mesh) if case.fascia.slides else None
+    return _filled(case, section, mesh, shares_at(anatomy, points), wall, centre, radius)
+
+
+def _wall(anatomy: Anatomy, section: Section, mesh: skfem.MeshTri) -> Wall:
+    """Return the chest wall behind a section, with the edges of its mesh on the wall."""
+    centres = mesh.p[:, mesh.facets[:, mesh.boundaries["wall"]]].mean(axis=1).T
+    distance = distance_in_section(anatomy.wall_distance, section)
+    return Wall(distance, in_fold(anatomy.fold, section.to_patient(centres)))
 
 
 def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SectionModel:
     """Rebuild the breast model of an interrupted run from its stored arrays, bitwise identical, without reading the image."""
     mesh = skfem.MeshTri(arrays["points"], arrays["triangles"]).with_subdomains({"cavity": arrays["cavity"]})
-    mesh = mesh.with_boundaries({name: arrays[name] for name in ("skin", "wall")})
+    mesh = mesh.with_boundaries({name: arrays[name] for name in ("skin", "wall", "rim")})
     section = Section(case.image.plane, float(arrays["section_mm"]))
-    return _filled(case, section, mesh, arrays["shares"], arrays["centre_mm"], float(arrays["radius_mm"]))
+    wall = Wall.from_arrays(arrays)
+    return _filled(case, section, mesh, arrays["shares"], wall, arrays["centre_mm"], float(arrays["radius_mm"]))
 
 
 def plane_of(case: LumpectomyCase, centre: np.ndarray) -> tuple[Section, float]:
@@ -169,7 +185,7 @@ def _radius_in_plane(radius: float, offset: float) -> float:
 
 
 def _breast(anatomy: Anatomy, section: Section, raster: Raster, centre: np.ndarray) -> np.ndarray:
-    mask = anatomy.breast.sample(section.to_patient(raster.points)) > 0.5
+    mask = anatomy.body.sample(section.to_patient(raster.points)) > 0.5
     row, column = np.rint(raster.index(centre)).astype(int)
     if not (0 <= row < mask.shape[0] and 0 <= column < mask.shape[1] and mask[row, column]):
         where = ", ".join(f"{c:.1f}" for c in centre)
@@ -194,33 +210,66 @@ def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float,
     return lambda p: np.maximum(np.hypot(*(p - centre).T) - corners, distance(p) + MIN_SKIN_FLAP_MM)
 
 
-def _is_wall(labels: Volume, section: Section, raster: Raster):
-    """Return a function of points just outside the breast: True nearer to chest than to air (or outside the image)."""
+def _border(anatomy: Anatomy, section: Section, raster: Raster) -> BorderAt:
+    """Return a function of points just outside the body: on the skin nearer to air than to chest, else on the wall or the rim.
+
+    Without chest in the image the body ends at the image's edge.
+    """
+    labels = anatomy.domain
     values = labels.nearest(section.to_patient(raster.points))
-    chest = np.pad(values == Label.CHEST, 1, constant_values=not (labels.values == Label.CHEST).any())
+    is_cut = not (labels.values == Label.CHEST).any()
+    chest = np.pad(values == Label.CHEST, 1, constant_values=is_cut)
     air = np.pad(values == Label.AIR, 1, constant_values=False)
     if not chest.any():
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
-    nearer_chest = distance_transform_edt(~chest) < (distance_transform_edt(~air) if air.any() else np.inf)  # pyright: ignore[reportOperatorIssue]
-    return lambda p: map_coordinates(nearer_chest.astype(float), raster.index(p) + 1.0, order=1, mode="nearest") > 0.5
+    around = section.to_patient(raster.widened().points)
+    behind = around[..., 1] > height_at(labels, extended(anatomy.wall_mm), around) - (
+        raster.pixel_mm if is_cut else 0.0
+    )
+    nearer_chest = _nearer(chest, air)
+    nearer_wall = _nearer(chest & behind, chest & ~behind)
+
+    def border(p: np.ndarray) -> np.ndarray:
+        held = np.where(_share(nearer_wall, raster, p) > 0.5, Border.WALL, Border.RIM)
+        return np.where(_share(nearer_chest, raster, p) > 0.5, held, Border.SKIN)
+
+    return border
+
+
+def _nearer(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Check which pixels lie nearer to one mask than to another; an empty mask is infinitely far away."""
+    away = [distance_transform_edt(~mask) if mask.any() else np.inf for mask in (one, other)]
+    return np.broadcast_to(np.less(away[0], away[1]), one.shape)
+
+
+def _share(mask: np.ndarray, raster: Raster, p: np.ndarray) -> np.ndarray:
+    """Interpolate a mask, padded by a pixel, at points (n, 2) [mm] -> (n,) [1]."""
+    return map_coordinates(mask.astype(float), raster.index(p) + 1.0, order=1, mode="nearest")
 
 
 def _filled(
-    case: LumpectomyCase, section: Section, mesh: skfem.MeshTri, shares: np.ndarray, centre: np.ndarray, radius: float
+    case: LumpectomyCase,
+    section: Section,
+    mesh: skfem.MeshTri,
+    shares: np.ndarray,
+    wall: Wall | None,
+    centre: np.ndarray,
+    radius: float,
 ) -> SectionModel:
-    """Build the model from mesh and tissue shares."""
-    wall = mesh.boundaries["wall"]
-    if not len(wall):
+    """Build the model from mesh, tissue shares and chest wall."""
+    skin, behind, rim = (mesh.boundaries[name] for name in ("skin", "wall", "rim"))
+    if not len(behind) + len(rim):
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
     space = Space(mesh)
-    wall_nodes = np.unique(space.facet_nodes(wall))
-    discretization = Discretization(space, mesh.boundaries["skin"], wall_nodes)
+    discretization = supported(case, space, skin, behind, rim)
+    wall_nodes = np.unique(space.facet_nodes(behind))
     tissue = with_ligaments(tissue_of(case.tissue, shares), case.tissue.ligaments, discretization, wall_nodes)
     return SectionModel(
-        intact=intact_body(case, discretization, tissue),
+        intact=intact_body(case, discretization, tissue, wall),
         tissue=tissue,
         scar=scar_of(case),
         shares=shares,
+        wall=wall,
         cavity=np.isin(np.arange(mesh.nelements), mesh.subdomains["cavity"]),
         centre_mm=centre,
         radius_mm=radius,

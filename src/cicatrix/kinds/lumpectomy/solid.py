@@ -9,14 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from ...core.errors import InputError
+from ...geometry.borders import Border
 from ...geometry.isosurface import LEVEL, Isosurface, isosurface, segmented_body
 from ...geometry.labels import Label
 from ...geometry.meshing import Function
-from ...geometry.meshing3d import MIN_SMOOTHING, BodyMesh, Border, Region, mesh_body
+from ...geometry.meshing3d import MIN_SMOOTHING, BodyMesh, Region, mesh_body
 from ...geometry.surface import Surface
 from ...geometry.tetrahedra import with_middles
 from ...geometry.transfer import QUARTERS
-from ...mechanics.body import Discretization
+from ...image.trunk import LEAST_MM as TRUNK_MM
 from ...mechanics.space import SolidSpace
 from ...outcome.change import ShapeChange
 from ...outcome.surface import compare_surfaces
@@ -31,9 +32,11 @@ from .body import (
     resection_of,
     scar_of,
     shares_at,
+    supported,
     tissue_of,
 )
 from .case import LumpectomyCase
+from .fascia import Wall, distance_in_solid, in_fold
 from .ligaments import with_ligaments
 
 
@@ -51,6 +54,11 @@ class SolidModel(BreastModel):
 
     corners: np.ndarray
     border: np.ndarray
+
+    @property
+    def wall_facets(self) -> np.ndarray:
+        """Faces of the boundary on the chest wall (n,)."""
+        return np.flatnonzero(self.border == Border.WALL)
 
     @property
     def space(self) -> SolidSpace:
@@ -125,19 +133,30 @@ def solid_model(case: LumpectomyCase, anatomy: Anatomy) -> SolidModel:
     """
     centre, radius = resection_of(case, anatomy), case.resection.radius_mm
     edge = case.mesh.edge_mm
-    body = segmented_body(anatomy.labels, anatomy.breast, finest_mm=edge / 6, thin_mm=2 / 3 * edge).share
+    thinnest = TRUNK_MM if anatomy.has_trunk else np.inf
+    thin = min(2 / 3 * edge, thinnest)
+    body = segmented_body(anatomy.domain, anatomy.body, finest_mm=edge / 6, thin_mm=thin).share
     surface = isosurface(body, MIN_SMOOTHING * np.asarray(body.spacing_mm))
     mesh = mesh_body(
-        anatomy.labels,
+        anatomy.domain,
         edge,
-        tissue=anatomy.breast,
+        tissue=anatomy.body,
+        wall_mm=anatomy.wall_mm,
+        thinnest_mm=thinnest,
         cavity=_cavity(surface, centre, radius),
         cavity_edge_mm=case.mesh.cavity_edge_mm,
     )
     space = SolidSpace(*with_middles(mesh.nodes, mesh.tetrahedra))
     shares = shares_at(anatomy, quadrature_points(space))
+    wall = _wall(anatomy, space, np.flatnonzero(mesh.marker == Border.WALL)) if case.fascia.slides else None
     is_cavity = mesh.region == Region.CAVITY
-    return _filled(case, mesh.nodes, space, is_cavity, mesh.marker, shares, centre, radius, _notes(mesh))
+    return _filled(case, mesh.nodes, space, is_cavity, mesh.marker, shares, wall, centre, radius, _notes(mesh))
+
+
+def _wall(anatomy: Anatomy, space: SolidSpace, facets: np.ndarray) -> Wall:
+    """Return the chest wall behind a mesh, with its facets on the wall."""
+    centres = space.positions[space.facet_nodes(facets)].mean(axis=1)
+    return Wall(distance_in_solid(anatomy.wall_distance), in_fold(anatomy.fold, centres))
 
 
 def solid_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) -> SolidModel:
@@ -145,7 +164,8 @@ def solid_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) ->
     corners = arrays["corners"]
     space = SolidSpace(*with_middles(corners, arrays["tetrahedra"]))
     centre, radius = arrays["centre_mm"], float(arrays["radius_mm"])
-    return _filled(case, corners, space, arrays["cavity"], arrays["border"], arrays["shares"], centre, radius)
+    cavity, border, shares = (arrays[name] for name in ("cavity", "border", "shares"))
+    return _filled(case, corners, space, cavity, border, shares, Wall.from_arrays(arrays), centre, radius)
 
 
 def _cavity(surface: Isosurface, centre: np.ndarray, radius: float) -> Function:
@@ -197,19 +217,23 @@ def _filled(
     cavity: np.ndarray,
     border: np.ndarray,
     shares: np.ndarray,
+    wall: Wall | None,
     centre: np.ndarray,
     radius: float,
     notes: tuple[str, ...] = (),
 ) -> SolidModel:
-    """Build the model from mesh and tissue shares; faces of the surface are either skin or constrained."""
-    constrained_nodes = np.unique(space.facet_nodes(np.flatnonzero(border != Border.SKIN)))
-    discretization = Discretization(space, np.flatnonzero(border == Border.SKIN), constrained_nodes)
-    tissue = with_ligaments(tissue_of(case.tissue, shares), case.tissue.ligaments, discretization, constrained_nodes)
+    """Build the model from mesh, tissue shares and chest wall."""
+    skin, behind = np.flatnonzero(border == Border.SKIN), np.flatnonzero(border == Border.WALL)
+    rim = np.flatnonzero((border == Border.RIM) | (border == Border.CUT))
+    discretization = supported(case, space, skin, behind, rim)
+    wall_nodes = np.unique(space.facet_nodes(behind))
+    tissue = with_ligaments(tissue_of(case.tissue, shares), case.tissue.ligaments, discretization, wall_nodes)
     return SolidModel(
-        intact=intact_body(case, discretization, tissue),
+        intact=intact_body(case, discretization, tissue, wall),
         tissue=tissue,
         scar=scar_of(case),
         shares=shares,
+        wall=wall,
         cavity=cavity,
         centre_mm=centre,
         radius_mm=radius,
