@@ -148,7 +148,7 @@ def test_cells_feel_the_energy_of_the_tissue(two_way):
     )
     assert big.sum() > 3
     means = np.sum(exact * areas, axis=1) / areas.sum(axis=1)
-    np.testing.assert_allclose((sums / np.maximum(counts, 1))[big], means[big], rtol=0.15)
+    np.testing.assert_allclose((sums / np.maximum(counts, 1))[big], means[big], rtol=0.2)
     assert (W >= 0).all()
     assert state.W_ref == cycle.edge_energy(state) > 0
 

@@ -372,34 +372,21 @@ def membrane_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> Arr
     small strain, and then carries no more than its wrinkling load (Allen 1969). Wrinkles are finer than the mesh,
     so this is the energy averaged over them.
     """
-    density = _edge_energy if table.gradient.shape[-1] == 1 else _face_energy
-    extent, W = density(X, x, membrane, table)
+    extent, W = _tension_field(_tangents(X, table), _tangents(x, table), membrane)
     return jnp.asarray(membrane.thickness * jnp.sum(table.weight * extent * W, axis=-1))
 
 
-def _edge_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
-    r"""Return reference length element [mm] and energy density [kPa] of edges: X, x (n, 3, 3) [mm] -> two (n, n_qp).
-
-    The energy is the law's own where the edge is pulled. Where it is shorter by :math:`\epsilon` than if the skin were pulled
-    across the section alone, it is :math:`k \epsilon_w [\epsilon - \epsilon_w (1 - e^{-\epsilon/\epsilon_w})]`; its stress has
-    the law's modulus k as its initial slope and tends to :math:`k \epsilon_w`. The energy is smooth, its tangent never negative.
-    Across the section the skin keeps its prestretch a; pulled by it alone, an incompressible isotropic film has the stretch
-    :math:`a^{-1/2}` along the edge.
-    """
-    X_s = jnp.einsum("eai,qa->eqi", X, table.gradient[..., 0])
-    x_s = jnp.einsum("eai,qa->eqi", x, table.gradient[..., 0])
-    length = jnp.sqrt(X_s[..., 0] ** 2 + X_s[..., 1] ** 2)
-    across = jnp.asarray(membrane.prestretch)
-    stretch = across * jnp.sqrt(x_s[..., 0] ** 2 + x_s[..., 1] ** 2) / length
-    shear = across * (x_s[..., 2] - X_s[..., 2]) / length
-    slack = across**-0.5
-    energy, _ = wrinkled(jnp.maximum(slack - stretch, 0.0), membrane.wrinkling_strain)
-    pulled = membrane.law.energy(film(jnp.maximum(stretch, slack), shear, across))
-    return length, pulled + film_modulus(membrane.law) * energy
+def _tangents(x: Array, table: Table) -> Array:
+    """Return the tangents of facets, of an edge along it and along the section's normal: (n, a, 3) -> (n, n_qp, 3, 2) [mm]."""
+    along = jnp.einsum("eai,qab->eqib", x, table.gradient)
+    if along.shape[-1] == 2:
+        return along
+    normal = jnp.broadcast_to(NORMAL, along.shape[:-1])
+    return jnp.concatenate([along, normal[..., None]], axis=-1)
 
 
-def _face_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[Array, Array]:
-    r"""Return reference area element [mm^2] and energy density [kPa] of faces: X, x (n, 6, 3) [mm] -> two (n, n_qp).
+def _tension_field(X_map: Array, x_map: Array, membrane: Membrane) -> tuple[Array, Array]:
+    r"""Return reference area element [mm^2] and energy density [kPa] of facets from their tangents (..., 3, 2) [mm].
 
     A tension-field energy (Pipkin 1986) with a small resistance to compression, in terms of the logarithms
     :math:`e_1 \ge e_2` of the principal stretches:
@@ -415,7 +402,6 @@ def _face_energy(X: Array, x: Array, membrane: Membrane, table: Table) -> tuple[
     prestretch included. The compressive Kirchhoff stress of the film, in one
     direction or both, is at most :math:`k \epsilon_w`.
     """
-    X_map, x_map = (jnp.einsum("eai,qab->eqib", y, table.gradient) for y in (X, x))
     area, e = principal_strains(X_map, x_map)
     e = [strain + jnp.log(membrane.prestretch) for strain in e]
     pulled = jnp.maximum(e[0], 0.0)
@@ -465,20 +451,10 @@ def sheet(one: Array, other: Array) -> Array:
     return jnp.stack([one, other, 1.0 / (one * other)], axis=-1)[..., None] * jnp.eye(3)
 
 
-def film(stretch: Array, shear: Array, across: Array | float = 1.0) -> Array:
-    """Return the deformation gradient (..., 3, 3) of an incompressible film from its stretches and its shear (...) [1].
-
-    Its axes are the edge, the direction of the thickness and the normal of the section, along which the stretch is ``across``.
-    """
-    zero, other = jnp.zeros_like(stretch), across * jnp.ones_like(stretch)
-    rows = [[stretch, zero, zero], [zero, 1.0 / (stretch * other), zero], [shear, zero, other]]
-    return jnp.stack([jnp.stack(row, axis=-1) for row in rows], axis=-2)
-
-
 def film_modulus(law: Material) -> Array:
     """Return the second derivative of a film's energy with respect to its stretch, at rest [kPa]; 4 mu for a neo-Hookean law."""
     one = jnp.ones(())
-    return jax.grad(jax.grad(lambda s: law.energy(film(s, 0.0 * s))))(one)
+    return jax.grad(jax.grad(lambda s: law.energy(sheet(s, one))))(one)
 
 
 def wrinkling_strain(E_film: float, E_below: float) -> float:
