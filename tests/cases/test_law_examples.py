@@ -16,6 +16,8 @@ COLUMNS += "growth_z sigma_z_kPa sigma_xy_kPa shear n_substeps"
 COMPILE_LONG = (
     "constrained-mixture",
     "fibre-distribution",  # fibres run in test_papers.py and in test_every_kind.py too
+    "ligaments",
+    "locking-skin",
     "neo-hookean-area-growth",
     "neo-hookean-viscous",
     "neo-hookean-volume-growth",
