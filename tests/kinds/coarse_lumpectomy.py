@@ -16,6 +16,15 @@ scar = { E_kPa = 6.283333333333333, stiffening = 0.0 }
 skin = { E_kPa = 56.0, prestretch = 1.0, stiff_kPa = 0.0 }
 ligaments = { share = 0.0 }
 least_bulk_modulus_kPa = 0.0
+
+[trunk]
+medial_mm = 0.0
+lateral_mm = 0.0
+above_mm = 0.0
+below_mm = 0.0
+
+[fascia]
+slides = false
 """
 
 LUMPECTOMY = f"""

@@ -238,8 +238,10 @@ def _border(anatomy: Anatomy, section: Section, raster: Raster) -> BorderAt:
 
 def _nearer(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Check which pixels lie nearer to one mask than to another; an empty mask is infinitely far away."""
-    away = [distance_transform_edt(~mask) if mask.any() else np.inf for mask in (one, other)]
-    return np.broadcast_to(np.less(away[0], away[1]), one.shape)
+    nearer, farther = (
+        np.asarray(distance_transform_edt(~mask)) if mask.any() else np.full(mask.shape, np.inf) for mask in (one, other)
+    )
+    return nearer < farther
 
 
 def _share(mask: np.ndarray, raster: Raster, p: np.ndarray) -> np.ndarray:
