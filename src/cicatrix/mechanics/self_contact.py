@@ -182,7 +182,8 @@ class SkinContact:
 
         The share is in (0, 1], and 1 if the whole way is free; x must not cross itself.
         """
-        share = ipctk.compute_collision_free_stepsize(self._surface, self._of(x), self._of(x_new))
+        ends = self._of(x), self._of(x_new)
+        share = ipctk.compute_collision_free_stepsize(self._surface, *ends, narrow_phase_ccd=ipctk.AdditiveCCD())
         return 1.0 if share >= 1.0 else SAFE_SHARE * float(share)
 
     def crossings(self, x: np.ndarray) -> np.ndarray:
