@@ -39,6 +39,7 @@ from .elements import (
 )
 from .fascia import Fascia, Springs, reference_spring_tangent, spring_energy, spring_force, spring_tangent
 from .pattern import Pattern
+from .self_contact import SkinContact
 from .space import AnySpace, Space
 from .supports import Supports
 
@@ -188,6 +189,8 @@ class Body:
         External follower pressure on the faces ``discretization.skin_facets`` of a solid, against their current outward
         normal. The tangent is symmetric if these faces form a closed surface, or if its edge is fixed or slides along planes, and
         unsymmetric if the edge is free.
+    contact : SkinContact, optional
+        Contact of skin with skin in the loaded shape.
     """
 
     discretization: Discretization
@@ -200,6 +203,7 @@ class Body:
     pressure: np.ndarray | None = None
     skin_prestretch: float = 1.0
     fascia: Fascia | None = None
+    contact: SkinContact | None = None
 
     @cached_property
     @own_exceptions()
@@ -273,7 +277,8 @@ class Body:
         X, x (n_nodes, 3) [mm], gravity (3,) [mm/s^2]; J_bar (n_elements, n_qp) [1] defaults to ``volume_ratio``.
         """
         J_bar = self.volume_ratio(X, x) if J_bar is None else J_bar
-        return self.discretization.scatter(self._forces(X, x, J_bar, gravity))
+        forces = self.discretization.scatter(self._forces(X, x, J_bar, gravity))
+        return forces if self.contact is None else forces + self.contact.force(x)
 
     def _forces(self, X: np.ndarray, x: np.ndarray, J_bar: np.ndarray, gravity: np.ndarray) -> list[Array]:
         """Return the forces at the nodes of elements, skin facets and, with fascia, wall facets [mN/mm]."""
@@ -288,12 +293,24 @@ class Body:
         """Return the derivative of the residual with respect to x on the free dofs [mN/mm^2], and its coupling to J_bar.
 
         The derivative is the sum of the matrices of all ranks. Rows of nodes without tissue are those of the identity matrix;
-        ``damping`` times the nodal mass [kg/mm] is added to the diagonal.
+        ``damping`` times the nodal mass [kg/mm] is added to the diagonal. Where skin touches skin the matrix has blocks beyond
+        the pattern of the mesh.
         """
         skin = partial(_skin_tangents, self._tables, *self._edges(X, x), self._membrane)
         linearise = partial(_linearisations, self._tables)
         added = damping * self.lumped_mass(X) if damping else None
-        return self._assembled(linearise, X, x, J_bar, [skin, partial(_spring_tangents, self._tables)], in_plane, added)
+        springs = partial(_spring_tangents, self._tables)
+        matrix, rates = self._assembled(linearise, X, x, J_bar, [skin, springs], in_plane, added)
+        return self._with_contact(matrix, x, in_plane), rates
+
+    def _with_contact(self, matrix: sp.bsr_array, x: np.ndarray, in_plane: bool) -> sp.bsr_array:
+        """Return the sum of a matrix on the free dofs and the tangent of the contact of skin with skin, if it touches."""
+        if self.contact is None or not (tangent := self.contact.tangent(x)).nnz:
+            return matrix
+        free, _ = self.discretization.solved(in_plane)
+        total = matrix + sp.bsr_array(tangent.tocsr()[free][:, free], blocksize=matrix.blocksize)
+        total.sort_indices()
+        return sp.bsr_array(total)
 
     @own_exceptions()
     def linearised_reference(
@@ -385,7 +402,7 @@ class Body:
         return float(np.linalg.norm(self.discretization.scatter([np.abs(part) for part in parts])))
 
     def strain_energy(self, X: np.ndarray, x: np.ndarray) -> float:
-        """Return the strain energy of tissue, skin and fascia per depth [uJ/mm = mN]."""
+        """Return the strain energy of tissue, skin, fascia and contact per depth [uJ/mm = mN]."""
         return self.discretization.total(self._own_strain_energy(X, x))
 
     @own_exceptions()
@@ -395,7 +412,7 @@ class Body:
             energy += float(np.sum(_skin_energies(self._tables, *self._edges(X, x), self._membrane)))
         if (springs := self._springs(X, x)) is not None:
             energy += float(np.sum(_spring_energies(self._tables, *springs)))
-        return energy
+        return energy if self.contact is None else energy + self.contact.energy(x)
 
     def potential(self, X: np.ndarray, x: np.ndarray, gravity: np.ndarray) -> float:
         """Return the potential energy per depth [mN]: strain energy minus work of gravity from X to x; pressure is left out."""

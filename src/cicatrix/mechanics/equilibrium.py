@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core.errors import ConvergenceError
+from ..core.errors import ConvergenceError, InputError
 from ..core.named import part
 from ..numerics.linear import Engine, LinearSolver
 from ..numerics.newton import NewtonReport, minimise, newton, ramp
@@ -22,6 +22,7 @@ from .failure import (
     rounding,
 )
 from .problem import Problem, Tangent
+from .self_contact import SkinContact
 from .unloading import LoadPath, Unloading, failure
 
 SMALLEST_STEP = 0.25  # smallest load step, as a fraction of the load; below it, minimising the energy is cheaper
@@ -134,6 +135,63 @@ class Equilibrium:
         NoEquilibriumError
             If no equilibrium is found: the likely cause, the history of all attempts, and the last stable shape.
         """
+        if body.contact is None:
+            return self._loaded(body, X, gravity, start, prescribed_positions)
+        return self._touching(body, body.contact, X, gravity, start, prescribed_positions)
+
+    def _touching(
+        self,
+        body: Body,
+        contact: SkinContact,
+        X: np.ndarray,
+        gravity: np.ndarray,
+        start: np.ndarray | None,
+        prescribed_positions: np.ndarray | None,
+    ) -> tuple[np.ndarray, NewtonReport]:
+        """Solve as ``loaded`` does, first without contact, and again with it where skin comes near skin.
+
+        The second solve has factors of its own, which are discarded, so that solves without touching skin are the same
+        with and without contact. A nearby shape in which skin touches is used with contact at once.
+        """
+        if body.discretization.ranks.size > 1:
+            raise InputError(
+                "Contact of skin with skin requires a single process; run without mpirun, or switch it off."
+            )
+        report = NewtonReport(tell=self.tell)
+        if start is None or not contact.is_touching(start):
+            try:
+                x, report = self._loaded(replace(body, contact=None), X, gravity, start, prescribed_positions)
+                if not contact.is_touching(x):
+                    return x, report
+                report.history.append(
+                    f"without contact, skin meets skin {_at_places(contact.crossings(x))}: solved again with it"
+                )
+            except ConvergenceError as error:
+                report.history += [*error.history, "no equilibrium without contact of skin with skin: tried with it"]
+            start = None if start is None or contact.is_touching(start) else start
+        elif len(contact.crossings(start)):
+            start = None
+        within = Equilibrium(self.relative_tolerance, self.tell, self._on)
+        try:
+            x, again = within._loaded(body, X, gravity, start, prescribed_positions)
+        except NoEquilibriumError as error:
+            error.history[:0] = report.history
+            raise
+        finally:
+            within.reset()
+            self._gone += within._gone
+        report.append(again, f"skin touches skin {_at_places(contact.touching(x))}")
+        return x, report
+
+    def _loaded(
+        self,
+        body: Body,
+        X: np.ndarray,
+        gravity: np.ndarray,
+        start: np.ndarray | None,
+        prescribed_positions: np.ndarray | None,
+    ) -> tuple[np.ndarray, NewtonReport]:
+        """Solve as ``loaded`` does for a body with the contact that it has from the start."""
         report = NewtonReport(tell=self.tell)
         at_rest = X if start is None else np.where(body.active_nodes[:, None], X, start)
         problem = Problem(body, X, at_rest, gravity, gravity)
@@ -310,7 +368,7 @@ class Equilibrium:
             rates, gap = tangent.rates, r[n:].reshape(shape) / scale
             du = tangent.solve(solver, -(r[:n] + problem.free_part(body.volume_force(rates, gap))), forcing)
             dJ = body.volume_change(rates, problem.positions(z[:n] + du) - problem.positions(z[:n])) + gap
-            return np.concatenate([du, dJ.ravel()])
+            return _free_share(problem, z[:n], du) * np.concatenate([du, dJ.ravel()])
 
         z = np.concatenate([problem.unknowns(problem.x), problem.volume_ratios.ravel()])
         z = newton(residual, step, z, tolerance=tolerance, report=report, norm=norm)
@@ -332,9 +390,9 @@ class Equilibrium:
         def step(values: np.ndarray, r: np.ndarray, damping: float) -> np.ndarray:
             x = problem.positions(values)
             damping *= max(np.linalg.norm(problem.gravity), 1.0)  # pyright: ignore[reportAssignmentType]
-            return problem.linearised(values, body.volume_ratio(problem.X, x), damping).solve(
-                solver, -r, LINEAR_TOLERANCE
-            )
+            tangent = problem.linearised(values, body.volume_ratio(problem.X, x), damping)
+            du = tangent.solve(solver, -r, LINEAR_TOLERANCE)
+            return _free_share(problem, values, du) * du
 
         values, tolerance = problem.unknowns(problem.x), self.relative_tolerance * problem.weight
         perturbation = np.random.Generator(np.random.Philox(0)).standard_normal(values.size)
@@ -358,6 +416,18 @@ class Equilibrium:
         if problem.in_plane not in self._linear:
             self._linear[problem.in_plane] = LinearSolver(self._on)
         return self._linear[problem.in_plane]
+
+
+def _free_share(problem: Problem, values: np.ndarray, du: np.ndarray) -> float:
+    """Return the share of a step du of the unknowns after which skin does not cross skin, in (0, 1]."""
+    if problem.inverse or (contact := problem.body.contact) is None:
+        return 1.0
+    return contact.largest_step(problem.positions(values), problem.positions(values + du))
+
+
+def _at_places(places: np.ndarray) -> str:
+    """Return where the places (n, 3) [mm] are: their mean, and their number."""
+    return "at {} places around ({}) mm".format(len(places), ", ".join(f"{value:.1f}" for value in places.mean(axis=0)))
 
 
 def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:

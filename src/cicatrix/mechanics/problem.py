@@ -138,8 +138,11 @@ class Problem:
             pullback = Pullback.loaded(self.body, shapes[1])
 
         def near() -> sp.bsr_array:
-            """Return the symmetric part of the tangent with respect to loaded positions, without pressure."""
-            body = replace(self.body, pressure=None)
+            """Return the symmetric part of the tangent with respect to loaded positions, without pressure.
+
+            Contact acts on the loaded shape: it has no part in the tangent where that shape is known.
+            """
+            body = replace(self.body, pressure=None, contact=None if self.inverse else self.body.contact)
             matrix, _ = body.linearised(*shapes, J_bar, in_plane=in_plane)
             if not body.has_potential:
                 matrix = _symmetric_part(matrix)

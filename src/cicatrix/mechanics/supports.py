@@ -6,6 +6,7 @@ import numpy as np
 import scipy.sparse as sp
 import skfem
 
+from ..numerics.linear import Pattern, has_pattern
 from .space import SolidSpace, tabulate
 
 PARALLEL = 0.05  # a direction is constrained if its mean squared cosine with the face normals at a node exceeds this
@@ -32,7 +33,7 @@ class Supports:
     def __init__(self, free: np.ndarray, sliding_nodes: np.ndarray, normals: np.ndarray, n_dofs: int) -> None:
         self._free = free
         self._axes = _axes(free, sliding_nodes, normals, n_dofs) if sliding_nodes.size else None
-        self._places: sp.csr_array | None = None
+        self._places: tuple[Pattern, sp.csr_array] | None = None
         self.n_unknowns = free.size if self._axes is None else self._axes.shape[1]
 
     def unknowns(self, x: np.ndarray) -> np.ndarray:
@@ -54,16 +55,20 @@ class Supports:
         return self.positions(np.zeros(self.n_unknowns), x)
 
     def matrix(self, matrix: sp.bsr_array) -> sp.bsr_array:
-        """Transform a matrix of the free degrees of freedom (n_free, n_free) to the unknowns, with a fixed sparsity pattern."""
+        """Transform a matrix of the free degrees of freedom (n_free, n_free) to the unknowns; equal patterns stay equal."""
         if self._axes is None:
             return matrix
-        turned = self._turn(matrix.tocsr(), self._axes)
-        if self._places is None:  # SciPy drops zero entries, but the sparsity pattern must not change
+        turned, places = self._turn(matrix.tocsr(), self._axes), self._pattern(matrix)
+        data = np.zeros((places.nnz, 1, 1))
+        data[np.searchsorted(_keys(places), _keys(turned)), 0, 0] = turned.data
+        return sp.bsr_array((data, places.indices, places.indptr), shape=turned.shape)
+
+    def _pattern(self, matrix: sp.bsr_array) -> sp.csr_array:
+        """Return the pattern of the transformed matrix: SciPy drops zero entries, but the sparsity pattern must not change."""
+        if self._places is None or not has_pattern(matrix, self._places[0]):
             ones = sp.bsr_array((np.ones_like(matrix.data), matrix.indices, matrix.indptr), shape=matrix.shape)
-            self._places = self._turn(ones.tocsr(), abs(self._axes))
-        data = np.zeros((self._places.nnz, 1, 1))
-        data[np.searchsorted(_keys(self._places), _keys(turned)), 0, 0] = turned.data
-        return sp.bsr_array((data, self._places.indices, self._places.indptr), shape=turned.shape)
+            self._places = (matrix.indptr, matrix.indices), self._turn(ones.tocsr(), abs(self._axes))
+        return self._places[1]
 
     @staticmethod
     def _turn(matrix: sp.csr_array, axes: sp.csr_array) -> sp.csr_array:

@@ -18,6 +18,8 @@ PROBE_STEPS = 6  # iterations of conjugate gradients in search of negative curva
 INDEFINITE_COST_FACTOR = 0.5  # if the factor is indefinite: GMRES is slower, and the next matrix may be definite
 MIN_JUDGED_ITERATIONS = 10  # iterations before the rate of convergence is judged
 
+Pattern = tuple[np.ndarray, np.ndarray]  # ``indptr`` and ``indices`` of a sparse matrix
+
 
 class Engine(Protocol):
     """Linear-algebra back end: factorisations and Krylov iterations, in one process or over several ranks."""
@@ -85,7 +87,8 @@ class LinearSolver:
     matrices with a definite factor are solved by conjugate gradients, all others by GMRES.
 
     A factor is replaced once its extra iterations, counted beyond its best rate in iterations per digit, would have paid
-    for a new one, and at once if a solve fails or converges too slowly. Decisions depend on computed values, never on timings.
+    for a new one, and at once if a solve fails or converges too slowly. Where the sparsity pattern has changed by then, the new
+    pattern is analysed first. Decisions depend on computed values, never on timings.
 
     Parameters
     ----------
@@ -96,6 +99,7 @@ class LinearSolver:
     def __init__(self, on: Engine | None = None) -> None:
         self._engine = on or engine()
         self._methods: dict[MatrixType, Factorisation] = {}
+        self._analysed: dict[MatrixType, Pattern] = {}
         self._factor: Factor | None = None
         self._matrix_type = MatrixType.DEFINITE
         self._best_rate, self._excess_iterations = np.inf, 0.0
@@ -155,15 +159,18 @@ class LinearSolver:
 
     def _factorise(self, matrix_type: MatrixType, matrix: sp.bsr_array) -> None:
         self._factor, self._best_rate, self._excess_iterations = None, np.inf, 0.0
+        if matrix_type in self._methods and not has_pattern(matrix, self._analysed[matrix_type]):
+            self._engine.release([self._methods.pop(matrix_type)])
         if matrix_type not in self._methods:
             self._methods[matrix_type] = self._engine.factorisation(matrix_type, matrix)
+            self._analysed[matrix_type] = matrix.indptr, matrix.indices
         self.n_factorizations += 1
         self._factor, self._matrix_type = self._methods[matrix_type].factor(matrix), matrix_type
 
     def reset(self) -> None:
         """Discard the factor and free its memory."""
         self._engine.release(list(self._methods.values()))
-        self._methods, self._factor = {}, None
+        self._methods, self._analysed, self._factor = {}, {}, None
 
     def state_arrays(self) -> dict[str, np.ndarray]:
         """Return all data that the next solve depends on, as a checkpoint for ``restore``; empty before the first solve."""
@@ -182,6 +189,7 @@ class LinearSolver:
             map(float, arrays["served"]),
         )
         self._methods[self._matrix_type] = self._engine.factorisation(self._matrix_type, matrix)
+        self._analysed[self._matrix_type] = matrix.indptr, matrix.indices
         self._factor = self._methods[self._matrix_type].from_values(arrays["values"])
 
     def _iterate(
@@ -211,6 +219,11 @@ class LinearSolver:
         rhs = np.random.Generator(np.random.Philox(0)).standard_normal(matrix.shape[0])
         x, steps = self._engine.iterate(self._factor, "cg", matrix, rhs, 1e-6, PROBE_STEPS)
         return x is not None or steps == PROBE_STEPS
+
+
+def has_pattern(matrix: sp.bsr_array, pattern: Pattern) -> bool:
+    """Return whether a matrix has a sparsity pattern, with indices in the same order."""
+    return all(a is b or np.array_equal(a, b) for a, b in zip((matrix.indptr, matrix.indices), pattern))
 
 
 def _digits(tolerance: float) -> float:
