@@ -22,7 +22,7 @@ from .failure import (
     rounding,
 )
 from .problem import Problem, Tangent
-from .self_contact import SkinContact
+from .self_contact import SkinContact, sites
 from .unloading import LoadPath, Unloading, failure
 
 SMALLEST_STEP = 0.25  # smallest load step, as a fraction of the load; below it, minimising the energy is cheaper
@@ -151,26 +151,24 @@ class Equilibrium:
         """Solve as ``loaded`` does, first without contact, and again with it where skin comes near skin.
 
         The second solve has factors of its own, which are discarded, so that solves without touching skin are the same
-        with and without contact. A nearby shape in which skin touches is used with contact at once.
+        with and without contact. A nearby shape in which skin touches is used with contact at once; one in which it crosses
+        is replaced by the shape of the mesh, where it does not.
         """
         if body.discretization.ranks.size > 1:
             raise InputError(
                 "Contact of skin with skin requires a single process; run without mpirun, or switch it off."
             )
-        report = NewtonReport(tell=self.tell)
-        if start is None or not contact.is_touching(start):
+        report, near = NewtonReport(tell=self.tell), X if start is None else start
+        if not contact.is_touching(near):
             try:
                 x, report = self._loaded(replace(body, contact=None), X, gravity, start, prescribed_positions)
                 if not contact.is_touching(x):
                     return x, report
-                report.history.append(
-                    f"without contact, skin meets skin {_at_places(contact.crossings(x))}: solved again with it"
-                )
+                report.history.append("without contact, skin comes near or crosses skin: solved again with contact")
             except ConvergenceError as error:
-                report.history += [*error.history, "no equilibrium without contact of skin with skin: tried with it"]
-            start = None if start is None or contact.is_touching(start) else start
-        elif len(contact.crossings(start)):
-            start = None
+                report.history += [*error.history, "without contact there is no equilibrium: solved with contact"]
+        if len(contact.crossings(near)):
+            start = body.discretization.space.positions
         within = Equilibrium(self.relative_tolerance, self.tell, self._on)
         try:
             x, again = within._loaded(body, X, gravity, start, prescribed_positions)
@@ -180,7 +178,8 @@ class Equilibrium:
         finally:
             within.reset()
             self._gone += within._gone
-        report.append(again, f"skin touches skin {_at_places(contact.touching(x))}")
+        touching = contact.touching(x)
+        report.append(again, f"skin touches skin {sites(touching)}" if len(touching) else "skin does not touch skin")
         return x, report
 
     def _loaded(
@@ -338,12 +337,13 @@ class Equilibrium:
     def _newton(self, problem: Problem, report: NewtonReport) -> np.ndarray:
         """Solve by Newton's method for positions and volume ratios J_bar; return the positions (n_nodes, 3) [mm].
 
-        The volume ratios are eliminated element by element.
+        The volume ratios are eliminated element by element. With contact, no step lets skin cross skin.
 
         Because they are independent unknowns, the pressure in a trial shape stays small, and large steps converge even for
         nearly incompressible tissue.
         """
         body, n = problem.body, problem.supports.n_unknowns
+        _check_crossings(problem)
         shape = (body.discretization.space.n_elements, body.discretization.space.table.weight.size)
         scale = problem.weight / np.sqrt(body.discretization.total(np.prod(shape)))
 
@@ -425,9 +425,12 @@ def _free_share(problem: Problem, values: np.ndarray, du: np.ndarray) -> float:
     return contact.largest_step(problem.positions(values), problem.positions(values + du))
 
 
-def _at_places(places: np.ndarray) -> str:
-    """Return where the places (n, 3) [mm] are: their mean, and their number."""
-    return "at {} places around ({}) mm".format(len(places), ", ".join(f"{value:.1f}" for value in places.mean(axis=0)))
+def _check_crossings(problem: Problem) -> None:
+    """Raise ConvergenceError if a solve with contact would start from a shape in which skin crosses skin."""
+    contact = None if problem.inverse else problem.body.contact
+    if contact is not None and len(found := contact.crossings(problem.x)):
+        words = f"skin crosses skin {sites(found)} in the shape to start from"
+        raise ConvergenceError(f"{words[0].upper()}{words[1:]}.", [words])
 
 
 def _check_elements(body: Body, X: np.ndarray, x: np.ndarray) -> None:

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -213,6 +214,16 @@ class SkinContact:
             edge, face = edges[pair.edge_id], faces[pair.face_id]
             if not set(edge) & set(face) and ipctk.is_edge_intersecting_triangle(*skin[edge], *skin[face]):
                 yield tuple(edge)
+
+
+def is_available() -> bool:
+    """Return whether IPC Toolkit is installed; it has no wheels for Intel Macs and for Linux on ARM."""
+    return find_spec("ipctk") is not None
+
+
+def sites(places: np.ndarray) -> str:
+    """Return words for places (n, 3) [mm]: their number and their mean."""
+    return f"at {len(places)} places around {_point(places.mean(axis=0))} mm"
 
 
 def _point(place: np.ndarray) -> str:

@@ -22,6 +22,7 @@ from ...materials.material import Material
 from ...materials.neo_hookean import NeoHookean, moduli_from_young
 from ...mechanics.body import Body, Discretization
 from ...mechanics.elements import meshed_wrinkling_strain
+from ...mechanics.self_contact import SkinContact, is_available
 from ...mechanics.space import AnySpace, SolidSpace, Space
 from ...outcome.change import ShapeChange
 from .case import LumpectomyCase, SkinTable, TissueTable
@@ -265,7 +266,16 @@ def intact_body(case: LumpectomyCase, discretization: Discretization, tissue: Ti
         wrinkling_strain=_wrinkling_strain(case, discretization),
         skin_prestretch=skin.prestretch,
         fascia=None if wall is None else wall.fascia(case.fascia),
+        contact=_skin_contact(case, discretization),
     )
+
+
+def _skin_contact(case: LumpectomyCase, discretization: Discretization) -> SkinContact | None:
+    """Return the contact of skin with skin; None if the case switches it off, or the library for it is not installed."""
+    table = case.skin_contact
+    if not table.distance_mm or not is_available():
+        return None
+    return SkinContact(discretization.space, discretization.skin_facets, table.distance_mm, table.stiffness_kPa)
 
 
 def skin_law(skin: SkinTable) -> Material:

@@ -324,6 +324,13 @@ class MeshTable(Table):
         return self
 
 
+class SkinContactTable(Table):
+    """Contact of skin with skin, where a soft breast folds."""
+
+    distance_mm: Annotated[NotNegative, bounds(most=10.0)] = 0.5  # distance below which skin repels skin; 0: no contact
+    stiffness_kPa: Positive = 1.0  # scale of the pressure: that of a gap of about three quarters of this distance
+
+
 class LumpectomySolverTable(Table):
     """Convergence criterion of Newton's method."""
 
@@ -357,6 +364,7 @@ class LumpectomyCase(Case):
     coupling: CouplingTable = CouplingTable()
     outcome: OutcomeTable = OutcomeTable()
     mesh: MeshTable = MeshTable()
+    skin_contact: SkinContactTable = SkinContactTable()
     solver: LumpectomySolverTable = LumpectomySolverTable()
     run: LumpectomyRunTable = LumpectomyRunTable()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,6 +17,7 @@ from ...files.pictures import picture
 from ...geometry.volume import Volume
 from ...mechanics.body import Body, mean_energy
 from ...mechanics.failure import NoEquilibriumError
+from ...mechanics.self_contact import SkinContact, is_available, sites
 from ...numerics.newton import NewtonReport
 from ...outcome.closure import middle_layer, wound_centre
 from ...runs.kind import Context, Drawing, End, Fields, Packed, Row, Simulation, SurfaceData
@@ -91,6 +93,11 @@ class LumpectomyRun(Simulation[BreastState]):
         with self.context.progress.stage("mesh"):
             model = breast_model(self.case, self.anatomy)
         self.notes += [*notes, *model.notes]
+        if not is_available():
+            self.notes.append(
+                "Contact of skin with skin is left out, and whether skin crosses skin is not known: IPC Toolkit (ipctk) is "
+                "not installed, or has no wheel for this platform."
+            )
         if (clipped := model.clipped_share) > CLIPPED_SHARE:
             self.notes.append(
                 f"{100 * clipped:.0f} % of the resection is not removed: it lies outside the breast, or within "
@@ -127,6 +134,7 @@ class LumpectomyRun(Simulation[BreastState]):
         with self.context.progress.stage("unload"), _named("the unloaded shape"):
             X, report = self.equilibrium.unloaded(model.intact, model.x_imaged, model.gravity(case.image.position))
             self._note_solve("unloaded shape", report)
+            self._note_crossings("unloaded shape", X)
         with self.context.progress.stage("before surgery"):
             for position in self.positions:
                 self.context.progress.update(0.0, position)
@@ -158,7 +166,18 @@ class LumpectomyRun(Simulation[BreastState]):
             self.notes.append(f"Left out: {error}")
             return None
         self._note_solve(f"{when}, {position}", report)
+        self._note_crossings(f"{when}, {position}", x)
         return x
+
+    def _note_crossings(self, what: str, x: np.ndarray) -> None:
+        """Add a note if skin crosses skin in a shape (n_nodes, 3) [mm]."""
+        if is_available() and len(found := self._skin.crossings(x)):
+            self.notes.append(f"{what}: skin crosses skin {sites(found)} in the axes of the mesh")
+
+    @cached_property
+    def _skin(self) -> SkinContact:
+        discretization = self.model.intact.discretization
+        return SkinContact(discretization.space, discretization.skin_facets)
 
     def _note_solve(self, what: str, report: NewtonReport) -> None:
         """Add a note if an equilibrium solve, described by ``what``, did not converge in its first Newton run."""
@@ -223,6 +242,7 @@ class LumpectomyRun(Simulation[BreastState]):
 
     def _shape(self, shapes: Shapes, tissue: TissueState, moment: str, position: str) -> np.ndarray | None:
         if position == self.home:
+            self._note_crossings(f"{moment}, {position}", tissue.x)
             return tissue.x
         body = self.cycle.body(tissue)
         start = self.cycle.extension.fill(shapes[position, BEFORE], body.fraction)
