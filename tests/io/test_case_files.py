@@ -111,6 +111,14 @@ FAULTS = {
         "[tissue.skin]\nstiff_kPa = -1.0",
         "tissue.skin.stiff_kPa must be at least 0; got -1.0",
     ),
+    "negative distance of skin from skin": (
+        "[skin_contact]\ndistance_mm = -0.5",
+        "skin_contact.distance_mm must be at least 0 and at most 10; got -0.5",
+    ),
+    "contact without stiffness": (
+        "[skin_contact]\nstiffness_kPa = 0.0",
+        "skin_contact.stiffness_kPa must be above 0; got 0.0",
+    ),
     "too many ligaments": (
         "[tissue.ligaments]\nshare = 0.05",
         "tissue.ligaments.share must be at most 0.02; got 0.05",

@@ -162,7 +162,7 @@ class Equilibrium:
         if not contact.is_touching(near):
             try:
                 x, report = self._loaded(replace(body, contact=None), X, gravity, start, prescribed_positions)
-                if not contact.is_touching(x):
+                if not contact.is_touching(x) and contact.largest_step(near, x) == 1.0:
                     return x, report
                 report.history.append("without contact, skin comes near or crosses skin: solved again with contact")
             except ConvergenceError as error:
