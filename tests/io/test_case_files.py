@@ -113,7 +113,7 @@ FAULTS = {
     ),
     "negative distance of skin from skin": (
         "[skin_contact]\ndistance_mm = -0.5",
-        "skin_contact.distance_mm must be at least 0 and at most 10; got -0.5",
+        "skin_contact.distance_mm must be at least 0; got -0.5",
     ),
     "contact without stiffness": (
         "[skin_contact]\nstiffness_kPa = 0.0",
