@@ -239,7 +239,8 @@ def _border(anatomy: Anatomy, section: Section, raster: Raster) -> BorderAt:
 def _nearer(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Check which pixels lie nearer to one mask than to another; an empty mask is infinitely far away."""
     nearer, farther = (
-        np.asarray(distance_transform_edt(~mask)) if mask.any() else np.full(mask.shape, np.inf) for mask in (one, other)
+        np.asarray(distance_transform_edt(~mask)) if mask.any() else np.full(mask.shape, np.inf)
+        for mask in (one, other)
     )
     return nearer < farther
 
