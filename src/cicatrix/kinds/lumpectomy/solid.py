@@ -133,17 +133,38 @@ def solid_model(case: LumpectomyCase, anatomy: Anatomy) -> SolidModel:
     """
     centre, radius = resection_of(case, anatomy), case.resection.radius_mm
     edge = case.mesh.edge_mm
-    thinnest = TRUNK_MM if anatomy.has_trunk else np.inf
-    thin = min(2 / 3 * edge, thinnest)
+    thin = min(2 / 3 * edge, _thinnest_mm(anatomy))
     body = segmented_body(anatomy.domain, anatomy.body, finest_mm=edge / 6, thin_mm=thin).share
     surface = isosurface(body, MIN_SMOOTHING * np.asarray(body.spacing_mm))
+    return _meshed(case, anatomy, _cavity(surface, centre, radius), centre, radius)
+
+
+def intact_solid(case: LumpectomyCase, anatomy: Anatomy) -> SolidModel:
+    """Mesh the breast without a resection, and fill it with tissue, for mechanics alone.
+
+    Raises
+    ------
+    InputError
+        If there is no breast, it touches no chest wall, or meshing fails.
+    """
+    return _meshed(case, anatomy, None, np.full(3, np.nan), 0.0)
+
+
+def _thinnest_mm(anatomy: Anatomy) -> float:
+    """Return the thickness of the thinnest parts that a mesh must keep [mm]."""
+    return TRUNK_MM if anatomy.has_trunk else np.inf
+
+
+def _meshed(
+    case: LumpectomyCase, anatomy: Anatomy, cavity: Function | None, centre: np.ndarray, radius: float
+) -> SolidModel:
     mesh = mesh_body(
         anatomy.domain,
-        edge,
+        case.mesh.edge_mm,
         tissue=anatomy.body,
         wall_mm=anatomy.wall_mm,
-        thinnest_mm=thinnest,
-        cavity=_cavity(surface, centre, radius),
+        thinnest_mm=_thinnest_mm(anatomy),
+        cavity=cavity,
         cavity_edge_mm=case.mesh.cavity_edge_mm,
     )
     space = SolidSpace(*with_middles(mesh.nodes, mesh.tetrahedra))
