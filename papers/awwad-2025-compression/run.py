@@ -168,11 +168,11 @@ class Tethered(Body):
     def linearised(self, X, x, J_bar, *, in_plane, damping=0.0):  # noqa: D102
         matrix, rates = super().linearised(X, x, J_bar, in_plane=in_plane, damping=damping)
         if self.spring:
-            matrix.data[...] += self._springs
+            matrix.data[...] += self._spring_blocks
         return matrix, rates
 
     @cached_property
-    def _springs(self) -> np.ndarray:
+    def _spring_blocks(self) -> np.ndarray:
         """Blocks of the mass matrix times the spring constant."""
         space, (_, pattern) = self.discretization.space, self.discretization.solved(False)
         value, mass = space.table.value, self.spring * self.density * self.volumes(space.positions)

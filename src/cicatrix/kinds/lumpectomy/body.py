@@ -162,6 +162,14 @@ class BreastModel(ABC):
             )
         return int(np.argmin(away))
 
+    @abstractmethod
+    def nipple_position(self, x: np.ndarray) -> np.ndarray:
+        """Return the nipple's position in a shape (n_nodes, 3) [mm], in the body's axes: (2,) in a section, (3,) in a solid."""
+
+    @abstractmethod
+    def to_patient(self, vector: np.ndarray) -> np.ndarray:
+        """Convert a vector in the body's axes, (2,) of a section or (3,), to LPS components (3,)."""
+
     @property
     def slice_mm(self) -> float | None:
         """Position of a section along its normal, LPS [mm]; None for a solid."""

@@ -303,6 +303,8 @@ class OutcomeTable(Table):
     positions: tuple[Position, ...] = ("upright", "supine")  # pyright: ignore[reportInvalidTypeForm]
     visits_weeks: Ascending = (2.0, 6.0, 10.0, 26.0)  # times after surgery
     nipple_mm: Vector | None = None  # nipple in the image, LPS; default: the foremost point of the skin
+    # nipple lying supine, LPS, after aligning the ribs with the image: fits the stiffness of tissue and fascia
+    supine_nipple_mm: Vector | None = None
 
     @model_validator(mode="after")
     def _reports_something(self) -> OutcomeTable:
@@ -429,6 +431,20 @@ class LumpectomyCase(Case):
             if isinstance(given, Mapping):
                 return {**tables, "mesh": {**SOLID_EDGES_MM, **given}}
         return tables
+
+    @model_validator(mode="after")
+    def _fits_what_slides(self) -> LumpectomyCase:
+        if self.outcome.supine_nipple_mm is None:
+            return self
+        if not self.fascia.slides:
+            raise fault(
+                "outcome.supine_nipple_mm", "needs fascia.slides = true: it fits the stiffness of the fascia too"
+            )
+        if self.image.position.startswith("supine"):
+            raise fault(
+                "outcome.supine_nipple_mm", "belongs to an image in another position; this one is supine already"
+            )
+        return self
 
     @model_validator(mode="after")
     def _a_solid_has_no_plane(self) -> LumpectomyCase:

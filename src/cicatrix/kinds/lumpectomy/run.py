@@ -26,9 +26,18 @@ from .anatomy import anatomy_of
 from .body import MIN_SKIN_FLAP_MM, Anatomy, BreastModel
 from .build import CLOT_KPA, breast_model, breast_model_from_arrays, equilibrium_of, healing_cycle, imaged_in
 from .case import LumpectomyCase
+from .conditioning import Conditioned, condition, scaled
 from .figures import BEFORE, FRESH, HEALED, first_figure, last_figures
 from .solid import SolidModel
-from .summary import closing_sentence, closure_numbers, history_row, outcome_numbers, visit_name
+from .summary import (
+    closing_sentence,
+    closure_numbers,
+    fitted_numbers,
+    history_row,
+    nipple_motion,
+    outcome_numbers,
+    visit_name,
+)
 from .visits import last_cycle, visit_cycles
 
 Which = tuple[str, str]  # position of the patient and moment, such as ("upright", "week 2")
@@ -70,6 +79,14 @@ def _named(what: str) -> Iterator[None]:
         raise ConvergenceError(f"{what[0].upper()}{what[1:]}: {why}", error.history) from error
 
 
+def _conditioned(stored: Any) -> Conditioned | None:
+    """Return what a checkpoint holds of the fit of stiffness; None if nothing was fitted."""
+    if stored is None:
+        return None
+    logs, covariance, misfit_mm, n_solves = stored
+    return Conditioned(np.array(logs), np.array(covariance), misfit_mm, n_solves)
+
+
 class LumpectomyRun(Simulation[BreastState]):
     """Computes the unloaded breast, removes the cavity, simulates healing, and solves for the loaded shapes at visits."""
 
@@ -81,12 +98,14 @@ class LumpectomyRun(Simulation[BreastState]):
         self.equilibrium = equilibrium_of(case, lambda words: self.context.progress.update(None, words))
         self.home = case.coupling.healing_position
         self.positions = list(dict.fromkeys([self.home, *case.outcome.positions]))
-        checkpoint = self.context.checkpoint
-        self.model = (
-            self._build_model()
-            if checkpoint is None
-            else breast_model_from_arrays(case, part("model", checkpoint.arrays))
-        )
+        checkpoint, self.fitted = self.context.checkpoint, case
+        if checkpoint is None:
+            self.model, self.conditioned = self._build_model(), None
+        else:
+            self.conditioned = _conditioned(checkpoint.scalars.get("conditioned"))
+            if self.conditioned is not None:
+                self.fitted = scaled(case, self.conditioned.factors())
+            self.model = breast_model_from_arrays(self.fitted, part("model", checkpoint.arrays))
 
     def _build_model(self) -> BreastModel:
         self.anatomy, notes = anatomy_of(self.case, self.context.progress)
@@ -130,8 +149,11 @@ class LumpectomyRun(Simulation[BreastState]):
 
     def start(self) -> BreastState:
         """Compute the unloaded shape; return the state before surgery, with the shape under gravity in every patient position."""
-        case, model, shapes = self.case, self.model, {}
+        case, shapes = self.case, {}
         with self.context.progress.stage("unload"), _named("the unloaded shape"):
+            if case.outcome.supine_nipple_mm is not None:
+                self._condition(np.asarray(case.outcome.supine_nipple_mm, float))
+            model = self.model
             X, report = self.equilibrium.unloaded(model.intact, model.x_imaged, model.gravity(case.image.position))
             self._note_solve("unloaded shape", report)
             self._note_crossings("unloaded shape", X)
@@ -146,8 +168,30 @@ class LumpectomyRun(Simulation[BreastState]):
         self.notes += self.cycle.healing.notes
         return BreastState(None, shapes, tuple(shapes), self.equilibrium.state_arrays())
 
+    def _condition(self, supine_mm: np.ndarray) -> None:
+        """Fit the stiffness of tissue and fascia to the place of the nipple lying supine (3,) LPS [mm]."""
+        arrays, image = self.model.arrays(), self.case.image
+        starts: list[np.ndarray | None] = [None, None]
+
+        def supine(factors: np.ndarray) -> np.ndarray:
+            model = breast_model_from_arrays(scaled(self.case, factors), arrays)
+            known, gravity = model.x_imaged, model.gravity(image.position)
+            X, _ = self.equilibrium.unloaded(model.intact, known, gravity, starts[0])
+            x, _ = self.equilibrium.loaded(model.intact, X, model.gravity("supine"), starts[1])
+            starts[:] = X, x
+            return model.nipple_position(x)
+
+        seen = self.model.from_patient(supine_mm)[: len(self.model.nipple_position(self.model.x_imaged))]
+        self.conditioned = condition(supine, seen, self.equilibrium.tell)
+        self.fitted = scaled(self.case, self.conditioned.factors())
+        self.model = breast_model_from_arrays(self.fitted, arrays)
+        self.notes.append(
+            f"stiffness fitted to the nipple lying supine, which is met to {self.conditioned.misfit_mm:.1f} mm after "
+            f"{self.conditioned.n_solves} bodies; skin as the case gives it"
+        )
+
     def _cycle(self, X: np.ndarray, x_intact: np.ndarray, has_clot: bool = False) -> HealingCycle:
-        return healing_cycle(self.case, self.model, X, x_intact, self.equilibrium, has_clot)
+        return healing_cycle(self.fitted, self.model, X, x_intact, self.equilibrium, has_clot)
 
     def _reported(
         self, moment: str, position: str, body: Body, X: np.ndarray, start: np.ndarray | None
@@ -307,7 +351,11 @@ class LumpectomyRun(Simulation[BreastState]):
         rows = [{k: None if v != v else v for k, v in row.items()} for row in state.rows]
         packed |= {"X": self.cycle.X, "fronts": np.packbits(np.array(state.fronts), axis=-1)}
         shown = [list(which) for which in state.shapes]
-        return packed, {"rows": rows, "shapes": shown, "state": scalars, "has_clot": state.has_clot}
+        kept = {"rows": rows, "shapes": shown, "state": scalars, "has_clot": state.has_clot}
+        if self.conditioned is not None:
+            fit = self.conditioned
+            kept["conditioned"] = [fit.logs.tolist(), fit.covariance.tolist(), fit.misfit_mm, fit.n_solves]
+        return packed, kept
 
     def unpack(self, arrays: Mapping[str, np.ndarray], scalars: Mapping[str, Any]) -> BreastState:
         """Return the state in a checkpoint."""
@@ -357,7 +405,15 @@ class LumpectomyRun(Simulation[BreastState]):
         healed = [position for position, moment in changes if moment == HEALED]
         main = self.home if self.home in asked else healed[0]
         closure = closure_numbers(self.cycle, end.state.tissue, list(end.state.rows))
-        return closure | outcome_numbers(changes, (main, HEALED))
+        return closure | self._body_numbers(end.analysis) | outcome_numbers(changes, (main, HEALED))
+
+    def _body_numbers(self, shapes: Shapes) -> dict[str, Quantity]:
+        """Return how far the nipple moves from prone to supine before surgery, and the stiffness that was fitted."""
+        found = {} if self.conditioned is None else fitted_numbers(self.conditioned)
+        supine = shapes.get(("supine", BEFORE))
+        if supine is not None and self.case.image.position == "prone":
+            found |= nipple_motion(self.model, supine)
+        return found
 
     def surfaces(self, end: End[BreastState]) -> dict[str, SurfaceData]:
         """Return the outer surface of a solid before surgery and healed, in each position."""

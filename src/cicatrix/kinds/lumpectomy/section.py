@@ -66,6 +66,15 @@ class SectionModel(BreastModel):
         """Convert LPS components to the section's axes: (..., 3) -> (..., 3)."""
         return self.section.from_patient(vectors)
 
+    def nipple_position(self, x: np.ndarray) -> np.ndarray:
+        """Return the nipple's position in the plane of the section in a shape (n_nodes, 3) [mm] (2,)."""
+        return x[self.outline[self.nipple], :2]
+
+    def to_patient(self, vector: np.ndarray) -> np.ndarray:
+        """Return the LPS components (3,) of a vector in the plane of the section (2,)."""
+        origin = self.section.to_patient(np.zeros(2))
+        return self.section.to_patient(np.asarray(vector, float)) - origin
+
     def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
         """Measure the change of the outline between two loaded shapes (n_nodes, 3) [mm]."""
         rows = self.outline

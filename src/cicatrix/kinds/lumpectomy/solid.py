@@ -93,6 +93,14 @@ class SolidModel(BreastModel):
         """Return LPS components unchanged: they are the components in the solid's axes."""
         return np.asarray(vectors, float)
 
+    def nipple_position(self, x: np.ndarray) -> np.ndarray:
+        """Return the nipple's position in a shape (n_nodes, 3) [mm] (3,)."""
+        return x[self.nipple]
+
+    def to_patient(self, vector: np.ndarray) -> np.ndarray:
+        """Return a vector (3,) unchanged: its components are LPS."""
+        return np.asarray(vector, float)
+
     def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
         """Measure the change of the surface between two loaded shapes (n_nodes, 3) [mm]."""
         return compare_surfaces(before, after, self.triangles, self.on_skin, self.nipple)

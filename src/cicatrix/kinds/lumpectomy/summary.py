@@ -14,6 +14,8 @@ from ...mechanics.body import Body
 from ...outcome import closure
 from ...outcome.change import ShapeChange
 from ...runs.quantity import Quantity
+from .body import BreastModel
+from .conditioning import Conditioned
 from .section import SectionModel
 
 UNITS = {"percent": "%", "mm": "mm"}
@@ -71,6 +73,30 @@ def closure_numbers(cycle: HealingCycle, state: TissueState, rows: list[dict]) -
         ),
         "fresh_wound_energy_mean_kPa": Quantity(state.W_ref, "kPa", "mean over the fresh wound edge: W_ref"),
     }
+
+
+def nipple_motion(model: BreastModel, supine: np.ndarray) -> dict[str, Quantity]:
+    """Return how far the nipple moves from the prone image to a supine shape before surgery (n_nodes, 3) [mm]."""
+    moved = model.nipple_position(supine) - model.nipple_position(model.x_imaged)
+    lps = model.to_patient(moved)
+    outwards = lps[0] if model.side == "left" else -lps[0]
+    words = f"before surgery; {lps[1]:.0f} mm backwards, {outwards:.0f} outwards, {-lps[2]:.0f} down"
+    return {"nipple_prone_to_supine_mm": Quantity(float(np.linalg.norm(moved)), "mm", words)}
+
+
+def fitted_numbers(fit: Conditioned) -> dict[str, Quantity]:
+    """Return the factors of stiffness that were fitted to the nipple's place lying supine."""
+    out = {}
+    for which, (name, what) in enumerate(
+        {"tissue": "fat, gland, tumour and scar", "fascia": "the fascia's springs"}.items()
+    ):
+        low, high = fit.interval(which)
+        note = f"times the stiffness of {what} in the case; 5-95 %: {low:.2g} to {high:.2g}"
+        out[f"{name}_stiffness_factor"] = Quantity(float(fit.factors()[which]), "1", note)
+    out["supine_nipple_misfit_mm"] = Quantity(
+        fit.misfit_mm, "mm", "distance of the nipple from outcome.supine_nipple_mm"
+    )
+    return out
 
 
 def outcome_numbers(changes: dict[tuple[str, str], ShapeChange], main: tuple[str, str]) -> dict[str, Quantity]:
