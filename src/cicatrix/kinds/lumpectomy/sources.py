@@ -44,6 +44,12 @@ SOURCES: dict[str, str] = {
     "tissue.ligaments.slack_stretch": "slack up to 1.05 to 1.4; assumed",
     "tissue.least_bulk_modulus_kPa": "tissue is mostly water; nu alone would let soft tissue change its volume by a fifth; "
     + CHOSEN,
+    "trunk.medial_mm": "the sternum holds the skin at the midline; with 40 mm the breast rolls onto its rim; " + CHOSEN,
+    "trunk.lateral_mm": "lying on the back the breast spreads to the side; " + CHOSEN,
+    "trunk.above_mm": CHOSEN,
+    "trunk.below_mm": CHOSEN,
+    "fascia.stiffness_kPa_per_mm": "points within 12 mm of the ribs move by 61 mm from prone to supine in women; order of magnitude",
+    "fascia.fold_factor": "the fold hardly moves with the breast; " + CHOSEN,
     "healing.deposition": "stress-free in the unloaded reference; Garbey et al.",
     "healing.deposition_prestretch": "1: deposited without stretch; " + CHOSEN,
     "healing.contraction_kPa": "0: no contraction; Garbey et al.",
