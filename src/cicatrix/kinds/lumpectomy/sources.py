@@ -48,7 +48,7 @@ SOURCES: dict[str, str] = {
     "trunk.lateral_mm": "lying on the back the breast spreads to the side; " + CHOSEN,
     "trunk.above_mm": CHOSEN,
     "trunk.below_mm": CHOSEN,
-    "fascia.stiffness_kPa_per_mm": "points within 12 mm of the ribs move by 61 mm from prone to supine in women; order of magnitude",
+    "fascia.stiffness_kPa_per_mm": "tissue 12 mm off the ribs moves by 61 mm from prone to supine in women; order of magnitude",
     "fascia.fold_factor": "the fold hardly moves with the breast; " + CHOSEN,
     "healing.deposition": "stress-free in the unloaded reference; Garbey et al.",
     "healing.deposition_prestretch": "1: deposited without stretch; " + CHOSEN,
