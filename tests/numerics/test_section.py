@@ -7,6 +7,7 @@ import pytest
 
 from cicatrix.core.errors import InputError
 from cicatrix.core.posix_signals import TAKEN
+from cicatrix.geometry.borders import Border
 from cicatrix.geometry.labels import TISSUES, Label
 from cicatrix.geometry.meshing import label_borders, mesh_section
 from cicatrix.geometry.section import Section
@@ -71,7 +72,7 @@ def test_cavity_conforms(mesh):
 
 def test_borders_have_names(mesh):
     """The flat side is wall and the round one skin, 40 mm and pi 20 mm long."""
-    named = label_borders(mesh, lambda p: p[:, 1] > 0.0)
+    named = label_borders(mesh, lambda p: np.where(p[:, 1] > 0.0, Border.WALL, Border.SKIN))
 
     def length(name):
         ends = mesh.p[:, mesh.facets[:, named.boundaries[name]]]

@@ -128,7 +128,7 @@ def test_given_wall_takes_the_place_of_the_automatic_one():
 def test_a_case_hands_its_wall_on(wall, tmp_path):
     (tmp_path / "case.toml").write_text(
         'kind = "lumpectomy"\ndimension = 2\n[image]\nphantom = "half-ellipsoid"\nvoxel_mm = 3.0\n'
-        f"[image.chest_wall]\n{wall}\n"
+        f"[image.chest_wall]\n{wall}\n[trunk]\nmedial_mm = 0\nlateral_mm = 0\nabove_mm = 0\nbelow_mm = 0\n"
     )
     anatomy, notes = anatomy_of(load_case(tmp_path / "case.toml"))
     rows = np.flatnonzero(is_breast(anatomy.labels.values).any(axis=(0, 2)))

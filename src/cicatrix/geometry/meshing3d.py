@@ -117,11 +117,11 @@ class _Borders:
         return np.maximum(voxel, MIN_VOXEL_SHARE * self.edge_mm) if self.is_rim_loose else voxel
 
     def clear_of(self, rim: np.ndarray) -> Function:
-        """Return a function, True at points (n, 3) [mm] farther than an element from the faces (k, 3, 3) of a loose rim."""
+        """Return a function of points (n, 3) [mm]: 0 up to an element from the faces (k, 3, 3) of a loose rim, 1 from two on."""
         if not self.is_rim_loose or not len(rim):
-            return lambda points: np.ones(len(points), bool)
+            return lambda points: np.ones(len(points))
         tree = cKDTree(rim.reshape(-1, 3))
-        return lambda points: tree.query(points)[0] > self.edge_mm
+        return lambda points: np.clip(tree.query(points)[0] / self.edge_mm - 1.0, 0.0, 1.0)
 
     def fitted(self, nodes: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """Return those of the outer faces (k, 3) that must lie on the surface closely: all, or those that touch no loose rim."""
@@ -317,15 +317,16 @@ def _measured(
             "labels: the breast touches neither chest wall (5) nor the image's edge, so that nothing supports it."
         )
     clear = borders.clear_of(body.nodes[faces[(marker == Border.RIM) | (marker == Border.CUT)]])
-    skin = (marker == Border.SKIN) & clear(middles)
+    skin = (marker == Border.SKIN) & (clear(middles) > 0)
+    centres = body.nodes[body.tetrahedra].mean(axis=1)
     measures = quality(
         body.nodes,
         body.tetrahedra,
         faces,
         skin,
         (isosurface(segmented.share), surface),
-        lambda points: on_skin(points) & clear(points),
-        segmented.volume,
+        lambda points: on_skin(points) & (clear(points) > 0),
+        (clear(centres), segmented.weighted_volume(clear)),
         float(max(borders.resolution_mm(surface.share))),
     )
     region = np.where(body.refs == INSIDE, Region.CAVITY, Region.TISSUE).astype(np.uint8)
