@@ -17,9 +17,7 @@ from .volume import Volume
 GRID_MM = 3.0  # voxel edge of the distance field
 MARGIN_MM = 20.0  # the field reaches this far beyond the body
 BEYOND_MM = 30.0  # the wall is extended this far beyond the field, for the feet of its perpendiculars
-SMOOTHING_MM = (
-    4.0  # standard deviation of the Gaussian that passes half of the same wavelength as the smoothing of the wall
-)
+SMOOTHING_MM = 4.0  # standard deviation of the Gaussian that passes half of the wave of which the smoothing passes half
 DENSE_MM = 1.0  # distance of the points of the wall, between which it is interpolated linearly
 STEPS = 5  # steps to the foot of a perpendicular
 
@@ -58,7 +56,8 @@ def wall_distance(domain: Volume, wall_mm: np.ndarray) -> Volume:
     z, x = domain.axis(0)[np.nonzero(known)[0]], domain.axis(2)[np.nonzero(known)[1]]
     index = np.argwhere(body)
     box = domain.position(np.stack([index.min(axis=0), index.max(axis=0)])) + MARGIN_MM * np.array([[-1.0], [1.0]])
-    surface = _Surface.through(x, wall_mm[known], z, box)
+    share = domain.spacing_mm[0] * domain.spacing_mm[2] / GRID_MM**2
+    surface = _Surface.near(np.stack([x, wall_mm[known], z], axis=-1), share, box)
     grid = _grid(box)
     return grid.with_values(surface.distance(grid))
 
@@ -83,15 +82,16 @@ class _Surface:
     first_mm: tuple[float, float]
 
     @classmethod
-    def through(cls, x: np.ndarray, y: np.ndarray, z: np.ndarray, box: np.ndarray) -> _Surface:
-        """Return the surface of least bending through points (n,) [mm] each, over a box (2, 3) [mm] and beyond."""
+    def near(cls, points: np.ndarray, share: float, box: np.ndarray) -> _Surface:
+        """Return the surface of least bending near points (n, 3) [mm], over a box (2, 3) [mm] and beyond.
+
+        Each point stands for a share of a cell of the plane grid [1].
+        """
         (low_x, _, low_z), (high_x, _, high_z) = box + BEYOND_MM * np.array([[-1.0], [1.0]])
         nodes_x, nodes_z = np.arange(low_x, high_x + GRID_MM, GRID_MM), np.arange(low_z, high_z + GRID_MM, GRID_MM)
-        cell = np.rint((z - low_z) / GRID_MM).astype(int), np.rint((x - low_x) / GRID_MM).astype(int)
-        count, total = np.zeros((2, len(nodes_z), len(nodes_x)))
-        np.add.at(count, cell, 1.0)
-        np.add.at(total, cell, y)
-        spline = RectBivariateSpline(nodes_z, nodes_x, _least_bending(total / np.maximum(count, 1.0), count > 0))
+        index = (points[:, [2, 0]] - (low_z, low_x)) / GRID_MM
+        heights = _least_bending(index, points[:, 1], share, (len(nodes_z), len(nodes_x)))
+        spline = RectBivariateSpline(nodes_z, nodes_x, heights)
         dense = np.arange(low_z, high_z, DENSE_MM), np.arange(low_x, high_x, DENSE_MM)
         return cls(spline(*dense), (spline(*dense, dy=1), spline(*dense, dx=1)), (low_z, low_x))
 
@@ -136,19 +136,45 @@ class _Surface:
         return on, normal / np.linalg.norm(normal, axis=-1, keepdims=True)
 
 
-def _least_bending(heights: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return heights (m, n) that follow the known ones and bend least, by the energy of a thin plate.
+def _least_bending(index: np.ndarray, heights: np.ndarray, share: float, shape: tuple[int, int]) -> np.ndarray:
+    """Return heights of the nodes of a grid (m, n) that pass near given ones and bend least, by the energy of a thin plate.
 
     A wave of wavenumber k is passed by 1 / (1 + w k^4). The weight w is such that the wave of which a Gaussian with standard
     deviation `SMOOTHING_MM` passes half is passed by half.
+
+    Parameters
+    ----------
+    index : (p, 2) array
+        Fractional row and column of each given height.
+    heights : (p,) array
+        Given heights [mm].
+    share : float
+        Share of a cell for which each stands [1].
+    shape : (2,) tuple
+        Numbers of nodes m and n.
     """
-    m, n = heights.shape
+    m, n = shape
     weight = (SMOOTHING_MM**2 / (2 * np.log(2))) ** 2 / GRID_MM**4
     twist = np.sqrt(2.0) * sp.kron(_differences(m, 1), _differences(n, 1))
     parts = [sp.kron(_differences(m, 2), sp.eye_array(n)), sp.kron(sp.eye_array(m), _differences(n, 2)), twist]
     bending = sum((part.T @ part for part in parts), sp.csr_array((m * n, m * n)))
-    matrix = sp.csc_array(sp.diags_array(known.ravel().astype(float)) + weight * bending)
-    return np.asarray(spsolve(matrix, np.where(known, heights, 0.0).ravel())).reshape(m, n)
+    at = _interpolation(index, shape)
+    matrix = sp.csc_array(share * at.T @ at + weight * bending)
+    return np.asarray(spsolve(matrix, share * (at.T @ heights))).reshape(m, n)
+
+
+def _interpolation(index: np.ndarray, shape: tuple[int, int]) -> sp.csr_array:
+    """Return the matrix of bilinear interpolation at fractional indices (p, 2) of a grid (m, n): (p, m n)."""
+    low = np.floor(index).astype(int)
+    up = index - low
+    rows = np.arange(len(index))
+    parts = [
+        (np.abs(1 - i - up[:, 0]) * np.abs(1 - j - up[:, 1]), (low[:, 0] + i) * shape[1] + low[:, 1] + j)
+        for i in (0, 1)
+        for j in (0, 1)
+    ]
+    values, columns = (np.concatenate(part) for part in zip(*parts, strict=True))
+    return sp.csr_array((values, (np.tile(rows, 4), columns)), shape=(len(index), shape[0] * shape[1]))
 
 
 def _differences(n: int, order: int) -> sp.csr_array:

@@ -100,7 +100,8 @@ def quality(
     is_skin : callable
         Returns for points (n, 3) [mm] of the first surface whether they are on the skin (n,).
     reference : tuple of (m,) array and float
-        Weight of each element in the volume [1], 1 but near a rim that may be rounded, and the body's volume weighted likewise [mm^3].
+        Weight of each element in the volume [1], 1 except near a rim that may be rounded, and the body's volume weighted
+        likewise [mm^3].
     voxel_mm : float
         Longest edge of a voxel, or the size of details that are kept if that is more [mm].
     """
