@@ -43,7 +43,7 @@ def test_distance_to_an_oblique_plane_is_exact():
 
 
 def test_distance_to_a_round_wall():
-    """The distance to a sphere of 150 mm, within 0.1 mm in the body, of slope 1 everywhere; heights in steps of a voxel are smoothed."""
+    """The distance to a sphere of 150 mm: within 0.1 mm in the body, of slope 1 everywhere; steps of voxels are smoothed."""
     centre = np.array([0.0, APEX + RADIUS, 0.0])
 
     def height(x, z):

@@ -17,7 +17,10 @@ from cicatrix.image.phantom import phantom, phantom_grid
 from cicatrix.image.segment import segment
 from cicatrix.image.trunk import LEAST_MM, Trunk, around, extent, moved_back, shortfall
 from cicatrix.kinds.lumpectomy.anatomy import anatomy_of
-from cicatrix.kinds.lumpectomy.body import Anatomy
+from cicatrix.kinds.lumpectomy.body import Anatomy, supported
+from cicatrix.kinds.lumpectomy.build import breast_model
+from cicatrix.kinds.lumpectomy.case import FasciaTable, ImageTable, LumpectomyCase, MeshTable, ResectionTable
+from cicatrix.kinds.lumpectomy.section import section_from_arrays
 from cicatrix.kinds.registry import load_case
 
 pytestmark = pytest.mark.xdist_group("trunk")  # segmented once
@@ -238,3 +241,61 @@ def test_a_label_map_has_no_trunk_and_says_so(tmp_path, found):
     assert not anatomy.has_trunk
     np.testing.assert_array_equal(anatomy.domain.values, anatomy.labels.values)
     assert (anatomy.domain.values == Label.CHEST).any()
+
+
+def small_case(**fascia):
+    return LumpectomyCase(
+        image=ImageTable(labels="not-read.nii"),
+        resection=ResectionTable(centre_mm=(80.0, -35.0, 5.0), radius_mm=10.0),
+        mesh=MeshTable(edge_mm=12.0, cavity_edge_mm=5.0),
+        fascia=FasciaTable(**fascia),
+    )
+
+
+def test_the_rim_is_held_and_the_wall_slides(anatomy):
+    case = small_case()
+    model = breast_model(case, anatomy)
+    found, space = model.intact.discretization, model.intact.discretization.space
+    skin, wall, rim = (model.mesh.boundaries[name] for name in ("skin", "wall", "rim"))
+    assert min(len(skin), len(wall), len(rim)) > 0
+    assert len(skin) + len(wall) + len(rim) == len(model.mesh.boundary_facets())
+    np.testing.assert_array_equal(found.fixed_nodes, np.unique(space.facet_nodes(rim)))
+    np.testing.assert_array_equal(found.wall_facets, wall)
+    x = space.positions[found.fixed_nodes]
+    assert (np.abs(x[:, 0] - MIDLINE_MM) > 60).all()  # held on both sides of the breast, and not behind it
+    assert x[:, 0].min() < MIDLINE_MM < x[:, 0].max()
+    held = supported(small_case(slides=False), space, skin, wall, rim)
+    np.testing.assert_array_equal(held.fixed_nodes, np.unique(space.facet_nodes(np.concatenate([wall, rim]))))
+    assert not len(held.wall_facets)
+    bare = supported(case, space, skin, wall, np.zeros(0, int))
+    ends = np.intersect1d(space.facet_nodes(skin), space.facet_nodes(wall))
+    np.testing.assert_array_equal(bare.fixed_nodes, ends)
+
+
+def test_a_model_on_a_wall_comes_back_from_its_arrays(anatomy):
+    case = small_case()
+    model = breast_model(case, anatomy)
+    again = section_from_arrays(case, model.arrays())
+    for name, values in model.arrays().items():
+        assert np.asarray(values).tobytes() == np.asarray(again.arrays()[name]).tobytes(), name
+    x = model.x_imaged + 0.3 * np.sin(model.x_imaged[:, [1, 2, 0]] / 9.0)
+    distances = [np.asarray(m.wall.distance.at(x)).tobytes() for m in (model, again)]
+    assert distances[0] == distances[1]
+
+
+def test_a_change_of_volume_is_relative_to_the_breast(anatomy):
+    """A body that grows by 1 % in both directions has 2.01 % more area; related to the breast alone, that is more."""
+    model = breast_model(small_case(), anatomy)
+    body = model.intact.volumes(model.x_imaged).sum()
+    share = model.breast_share
+    plane = anatomy.labels.nearest(model.section.to_patient(model.section.raster(anatomy.labels, 1.0).points))
+    assert share * body == pytest.approx(np.isin(plane, (1, 2, 3, 4)).sum(), rel=0.05)
+    assert share < 0.95
+    grown = model.change(model.x_imaged, 1.01 * model.x_imaged).volume_change_percent
+    assert grown == pytest.approx(2.01 / share, rel=1e-3)
+    bare = Anatomy(
+        None,
+        anatomy.labels,
+        anatomy.probabilities.with_values(anatomy.probabilities.values * np.isin(anatomy.labels.values, (1, 2, 3, 4))),
+    )
+    assert breast_model(small_case(), bare).breast_share == 1.0

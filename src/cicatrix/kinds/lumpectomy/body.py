@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -66,6 +66,10 @@ class Anatomy:
         """Whether the body has a trunk around the breast."""
         return bool(self._in_trunk.any())
 
+    def breast_share(self, breast: np.ndarray, body: np.ndarray) -> float:
+        """Return the share of the breast in the body, from its labels and shares at the same points (...) [1]; 1 without trunk."""
+        return float(body[np.isin(breast, TISSUES)].sum() / body.sum()) if self.has_trunk else 1.0
+
     @property
     def _in_trunk(self) -> np.ndarray:
         return (self.labels.values == Label.CHEST) & (self.probabilities.values.sum(axis=0) > 0.5)
@@ -105,6 +109,8 @@ class BreastModel(ABC):
         Probability of each tissue at the quadrature points, in the order of ``TISSUES``.
     wall : Wall or None
         Chest wall on which the body slides.
+    breast_share : float
+        Share of the imaged body that is breast, not trunk [1].
     cavity : (n_elements,) bool array
         Elements that the resection removes.
     centre_mm : (3,) array [mm]
@@ -124,6 +130,7 @@ class BreastModel(ABC):
     scar: Tissue
     shares: np.ndarray
     wall: Wall | None
+    breast_share: float
     cavity: np.ndarray
     centre_mm: np.ndarray
     radius_mm: float
@@ -179,9 +186,14 @@ class BreastModel(ABC):
     def from_patient(self, vectors: np.ndarray) -> np.ndarray:
         """Convert LPS components to the body's axes: (..., 3) -> (..., 3)."""
 
-    @abstractmethod
     def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
-        """Measure the change of shape between two loaded shapes (n_nodes, 3) [mm]."""
+        """Measure the change of shape between two loaded shapes (n_nodes, 3) [mm]; of the volume, relative to the breast."""
+        found = self._body_change(before, after)
+        return replace(found, volume_change_percent=found.volume_change_percent / self.breast_share)
+
+    @abstractmethod
+    def _body_change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
+        """Measure the change of shape of breast and trunk between two loaded shapes (n_nodes, 3) [mm]."""
 
     @property
     def clipped_share(self) -> float:
@@ -202,7 +214,7 @@ class BreastModel(ABC):
         """Return the arrays of tissue, resection and fascia, which sections and solids both store."""
         resection = {"centre_mm": self.centre_mm, "radius_mm": np.array(self.radius_mm)}
         wall = {} if self.wall is None else self.wall.arrays()
-        return {"shares": self.shares, **wall, **resection}
+        return {"shares": self.shares, "breast_share": np.array(self.breast_share), **wall, **resection}
 
 
 def resection_of(case: LumpectomyCase, anatomy: Anatomy) -> np.ndarray:

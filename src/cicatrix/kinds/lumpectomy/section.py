@@ -75,7 +75,7 @@ class SectionModel(BreastModel):
         origin = self.section.to_patient(np.zeros(2))
         return self.section.to_patient(np.asarray(vector, float)) - origin
 
-    def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
+    def _body_change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
         """Measure the change of the outline between two loaded shapes (n_nodes, 3) [mm]."""
         rows = self.outline
         return compare(before[rows], after[rows], self.on_skin, self.nipple)
@@ -151,7 +151,8 @@ def section_model(case: LumpectomyCase, anatomy: Anatomy) -> SectionModel:
     mesh = label_borders(mesh, _border(anatomy, section, raster))
     points = section.to_patient(quadrature_points(Space(mesh))[..., :2])
     wall = _wall(anatomy, section, mesh) if case.fascia.slides else None
-    return _filled(case, section, mesh, shares_at(anatomy, points), wall, centre, radius)
+    breast = anatomy.breast_share(anatomy.labels.nearest(section.to_patient(raster.points)), inside)
+    return _filled(case, section, mesh, shares_at(anatomy, points), wall, breast, centre, radius)
 
 
 def _wall(anatomy: Anatomy, section: Section, mesh: skfem.MeshTri) -> Wall:
@@ -167,7 +168,8 @@ def section_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) 
     mesh = mesh.with_boundaries({name: arrays[name] for name in ("skin", "wall", "rim")})
     section = Section(case.image.plane, float(arrays["section_mm"]))
     wall = Wall.from_arrays(arrays)
-    return _filled(case, section, mesh, arrays["shares"], wall, arrays["centre_mm"], float(arrays["radius_mm"]))
+    breast, radius = float(arrays["breast_share"]), float(arrays["radius_mm"])
+    return _filled(case, section, mesh, arrays["shares"], wall, breast, arrays["centre_mm"], radius)
 
 
 def plane_of(case: LumpectomyCase, centre: np.ndarray) -> tuple[Section, float]:
@@ -265,6 +267,7 @@ def _filled(
     mesh: skfem.MeshTri,
     shares: np.ndarray,
     wall: Wall | None,
+    breast_share: float,
     centre: np.ndarray,
     radius: float,
 ) -> SectionModel:
@@ -282,6 +285,7 @@ def _filled(
         scar=scar_of(case),
         shares=shares,
         wall=wall,
+        breast_share=breast_share,
         cavity=np.isin(np.arange(mesh.nelements), mesh.subdomains["cavity"]),
         centre_mm=centre,
         radius_mm=radius,

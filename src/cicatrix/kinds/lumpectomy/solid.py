@@ -101,7 +101,7 @@ class SolidModel(BreastModel):
         """Return a vector (3,) unchanged: its components are LPS."""
         return np.asarray(vector, float)
 
-    def change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
+    def _body_change(self, before: np.ndarray, after: np.ndarray) -> ShapeChange:
         """Measure the change of the surface between two loaded shapes (n_nodes, 3) [mm]."""
         return compare_surfaces(before, after, self.triangles, self.on_skin, self.nipple)
 
@@ -179,7 +179,8 @@ def _meshed(
     shares = shares_at(anatomy, quadrature_points(space))
     wall = _wall(anatomy, space, np.flatnonzero(mesh.marker == Border.WALL)) if case.fascia.slides else None
     is_cavity = mesh.region == Region.CAVITY
-    return _filled(case, mesh.nodes, space, is_cavity, mesh.marker, shares, wall, centre, radius, _notes(mesh))
+    breast = anatomy.breast_share(anatomy.labels.values, anatomy.body.values)
+    return _filled(case, mesh.nodes, space, is_cavity, mesh.marker, shares, wall, breast, centre, radius, _notes(mesh))
 
 
 def _wall(anatomy: Anatomy, space: SolidSpace, facets: np.ndarray) -> Wall:
@@ -194,7 +195,8 @@ def solid_from_arrays(case: LumpectomyCase, arrays: Mapping[str, np.ndarray]) ->
     space = SolidSpace(*with_middles(corners, arrays["tetrahedra"]))
     centre, radius = arrays["centre_mm"], float(arrays["radius_mm"])
     cavity, border, shares = (arrays[name] for name in ("cavity", "border", "shares"))
-    return _filled(case, corners, space, cavity, border, shares, Wall.from_arrays(arrays), centre, radius)
+    wall, breast = Wall.from_arrays(arrays), float(arrays["breast_share"])
+    return _filled(case, corners, space, cavity, border, shares, wall, breast, centre, radius)
 
 
 def _cavity(surface: Isosurface, centre: np.ndarray, radius: float) -> Function:
@@ -247,6 +249,7 @@ def _filled(
     border: np.ndarray,
     shares: np.ndarray,
     wall: Wall | None,
+    breast_share: float,
     centre: np.ndarray,
     radius: float,
     notes: tuple[str, ...] = (),
@@ -263,6 +266,7 @@ def _filled(
         scar=scar_of(case),
         shares=shares,
         wall=wall,
+        breast_share=breast_share,
         cavity=cavity,
         centre_mm=centre,
         radius_mm=radius,
