@@ -67,7 +67,7 @@ class Anatomy:
         return bool(self._in_trunk.any())
 
     def breast_share(self, breast: np.ndarray, body: np.ndarray) -> float:
-        """Return the share of the breast in the body, from its labels and shares at the same points (...) [1]; 1 without trunk."""
+        """Return the share of the breast in the body, from labels and shares of the body at points (...) [1]; 1 without trunk."""
         return float(body[np.isin(breast, TISSUES)].sum() / body.sum()) if self.has_trunk else 1.0
 
     @property
