@@ -321,7 +321,8 @@ def quadrature_points(space: Space | SolidSpace) -> np.ndarray:
 
 def shares_at(anatomy: Anatomy, points: np.ndarray) -> np.ndarray:
     """Return the probability of each tissue at points (..., 3) LPS [mm], in the order of ``TISSUES`` (..., 4) [1]."""
-    shares = np.moveaxis(anatomy.probabilities.sample(points), 0, -1)
+    # in the order in which a checkpoint stores them: products of arrays in another order have other round-off
+    shares = np.ascontiguousarray(np.moveaxis(anatomy.probabilities.sample(points), 0, -1))
     shares[..., TISSUES.index(Label.FAT)] += 1e-3  # fat where no tissue has a probability above 0
     return shares
 
