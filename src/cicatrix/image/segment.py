@@ -235,9 +235,9 @@ def _edge_found(image: Volume, rough: np.ndarray, fat_bright: bool) -> tuple[np.
 
 def _share(mask: np.ndarray, at_edge: np.ndarray) -> np.ndarray:
     """Return the share of a mask in voxels (nz, ny, nx): 1 inside, 0 outside, as given on both sides of its edge."""
-    inside, outside = ndi.binary_erosion(mask, border_value=1), ~np.asarray(ndi.binary_dilation(mask))
+    inside, near = ndi.binary_erosion(mask, border_value=1), np.asarray(ndi.binary_dilation(mask), bool)
     share = np.clip(at_edge, np.where(mask, 0.5, 0.0), np.where(mask, 1.0, 0.5))
-    return np.where(inside, 1.0, np.where(outside, 0.0, share)).astype(np.float32)
+    return np.where(inside, 1.0, np.where(near, share, 0.0)).astype(np.float32)
 
 
 def _otsu(v: np.ndarray) -> float:
