@@ -246,6 +246,14 @@ def test_a_solid_has_coarser_elements_by_default(write):
     assert load_case(write(PHANTOM)).mesh.edge_mm == 3
 
 
+def test_a_trunk_has_no_negative_margin_and_sizes_belong_to_the_phantom(write):
+    assert check_case(write(PHANTOM + "[trunk]\nmedial_mm = -1.0"))[0].startswith("trunk.medial_mm must be at least 0")
+    wide = PHANTOM.rstrip() + "\nphantom_size_mm = [120.0, 300.0, 110.0]\n"
+    assert check_case(write(wide))[0].startswith("image.phantom_size_mm[1] must be at least 30 and at most 250")
+    stray = 'kind = "lumpectomy"\n[image]\nlabels = "x.nrrd"\nphantom_size_mm = [120.0, 75.0, 110.0]\n'
+    assert check_case(write(stray))[0].startswith("image.phantom_size_mm belongs to image.phantom")
+
+
 def test_chest_wall_is_a_plane_or_points(write):
     wall = PHANTOM + "[image.chest_wall]\n"
     assert check_case(write(wall + "point_mm = [0, 0, 0]\nnormal = [0, -1, 0]")) == []

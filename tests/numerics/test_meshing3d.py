@@ -123,7 +123,7 @@ def test_chest_wall_is_marked(ball):
 
 
 def test_half_ellipsoid_ends_flat_where_the_image_ends(half_ellipsoid):
-    """The volume is 2/3 pi abc; without chest the cut behind the breast is its wall, the plane y = 0 with area pi ac."""
+    """The volume is 2/3 pi abc; the cut is the plane y = 0 with area pi ac, and the wall."""
     a, b, c = HALF_AXES
     mesh = half_ellipsoid
     assert volumes(mesh.nodes, mesh.tetrahedra).sum() == pytest.approx(2 / 3 * np.pi * a * b * c, rel=0.01)

@@ -55,7 +55,7 @@ def anatomy(scan, found):
 
 @pytest.fixture(scope="module")
 def mesh(anatomy):
-    return mesh_body(anatomy.domain, 16.0, tissue=anatomy.body, wall_mm=anatomy.wall_mm, thinnest_mm=LEAST_MM)
+    return mesh_body(anatomy.domain, 16.0, tissue=anatomy.body, wall_mm=anatomy.wall_mm, has_trunk=True)
 
 
 def test_the_breast_is_the_same_with_trunk_and_without(found):

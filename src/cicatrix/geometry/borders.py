@@ -45,7 +45,7 @@ def wall_heights(labels: Volume) -> np.ndarray:
 
 def behind_wall(labels: Volume, wall_mm: np.ndarray) -> np.ndarray:
     """Return the chest voxels behind the wall, whose y is given (nz, nx) [mm]: (nz, ny, nx) bool."""
-    return (labels.values == Label.CHEST) & (labels.axis(1)[None, :, None] > wall_mm[:, None, :])
+    return (labels.values == Label.CHEST) & (labels.axis(1)[None, :, None] > wall_beside(labels, wall_mm)[:, None, :])
 
 
 def border_at(labels: Volume, wall_mm: np.ndarray) -> BorderAt:
@@ -97,6 +97,12 @@ def flat_border(labels: Volume, wall_mm: np.ndarray, tolerance_mm: float) -> Bor
 def height_at(labels: Volume, wall_mm: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the y of the wall (nz, nx) [mm] in the nearest columns of points: (..., 3) [mm] -> (...) [mm]."""
     return labels.with_values(wall_mm[:, None, :]).nearest(points)
+
+
+def wall_beside(labels: Volume, wall_mm: np.ndarray) -> np.ndarray:
+    """Return the wall (nz, nx) [mm] behind the body, and beside it as high as in the nearest column of the body."""
+    columns = np.isin(labels.values, TISSUES).any(axis=1)
+    return extended(np.where(columns, wall_mm, np.nan))
 
 
 def extended(wall_mm: np.ndarray) -> np.ndarray:

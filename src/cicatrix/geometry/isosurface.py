@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -26,26 +25,15 @@ class SegmentedBody:
     ----------
     share : Volume
         (nz, ny, nx) float32, fraction of each voxel that belongs to the body, 0 .. 1; cropped to the body with a margin.
-    whole : Volume
-        (nz, ny, nx) float32, the same with thin parts included.
+    volume : float
+        Volume of the largest connected component with its holes filled, thin parts included [mm^3].
     notes : tuple of str
         Messages that say what was averaged, left out or filled.
     """
 
     share: Volume
-    whole: Volume
+    volume: float
     notes: tuple[str, ...]
-
-    @property
-    def volume(self) -> float:
-        """Volume of the largest connected component with its holes filled, thin parts included [mm^3]."""
-        return float(self.whole.values.sum(dtype=float) * np.prod(self.whole.spacing_mm))
-
-    def weighted_volume(self, weight: Callable[[np.ndarray], np.ndarray]) -> float:
-        """Return the integral over the volume of a function of points (n, 3) [mm] -> (n,) [1], in [mm^3]."""
-        index = np.argwhere(self.whole.values > 0)
-        share = self.whole.values[tuple(index.T)].astype(float)
-        return float(share @ weight(self.whole.position(index)) * np.prod(self.whole.spacing_mm))
 
 
 def segmented_body(
@@ -86,7 +74,8 @@ def segmented_body(
     thick = _opened(whole, thin_mm / np.asarray(share.spacing_mm[::-1]))
     if n_thin := int(whole.sum() - thick.sum()):
         more += (f"parts thinner than {thin_mm:.1f} mm left out, {n_thin} of {whole.sum()} voxels",)
-    return SegmentedBody(_kept(share, thick), _kept(share, whole), (*notes, *more))
+    volume = _kept(share, whole).values.sum(dtype=float) * np.prod(share.spacing_mm)
+    return SegmentedBody(_kept(share, thick), float(volume), (*notes, *more))
 
 
 def _triple(numbers: np.ndarray) -> tuple[float, float, float]:
@@ -169,6 +158,13 @@ class Isosurface:
     def tree(self) -> cKDTree:
         """Search tree of the points."""
         return cKDTree(self.points)
+
+    @cached_property
+    def volume(self) -> float:
+        """Volume inside the surface [mm^3], of planes through the voxels that the surface cuts."""
+        slope = sum(np.abs(step) for step in np.gradient(self.share.values))
+        filled = np.clip(0.5 + (self.share.values - LEVEL) / np.maximum(slope, 1e-9), 0, 1)
+        return float(filled.sum(dtype=float) * np.prod(self.share.spacing_mm))
 
     def distance(self, x: np.ndarray, reach_mm: float = np.inf) -> np.ndarray:
         """Return the signed distance of points, negative inside and limited to +-``reach_mm``: (n, 3) [mm] -> (n,) [mm].

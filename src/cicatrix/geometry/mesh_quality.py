@@ -29,7 +29,7 @@ class Quality:
     least_dihedral_deg : float
         Smallest dihedral angle of an element [degrees].
     volume, body_volume : float
-        Total volume of the elements, and volume of the segmented body, both without what lies near a loose rim [mm^3].
+        Total volume of the elements, and volume of the segmented body [mm^3].
     skin_distance : float
         Hausdorff distance between the skin faces of the mesh and the segmented skin [mm].
     voxel : float
@@ -83,7 +83,7 @@ def quality(
     skin: np.ndarray,
     surfaces: tuple[Isosurface, Isosurface],
     is_skin: Function,
-    reference: tuple[np.ndarray, float],
+    body_volume: float,
     voxel_mm: float,
 ) -> Quality:
     """Measure the quality of a tetrahedral body mesh.
@@ -99,19 +99,17 @@ def quality(
         skin points of the first to the mesh, and from the mesh to the second.
     is_skin : callable
         Returns for points (n, 3) [mm] of the first surface whether they are on the skin (n,).
-    reference : tuple of (m,) array and float
-        Weight of each element in the volume [1], 1 except near a rim that may be rounded, and the body's volume weighted
-        likewise [mm^3].
+    body_volume : float
+        Reference value for the volume [mm^3].
     voxel_mm : float
         Longest edge of a voxel, or the size of details that are kept if that is more [mm].
     """
     size = volumes(nodes, tetrahedra)
     segmented, smooth = surfaces
-    weight, body_volume = reference
     return Quality(
         least_volume=float(size.min()),
         least_dihedral_deg=float(dihedral_angles(nodes, tetrahedra).min()),
-        volume=float((weight * size).sum()),
+        volume=float(size.sum()),
         body_volume=body_volume,
         skin_distance=_hausdorff(nodes[faces[skin]], segmented.points[is_skin(segmented.points)], nodes[faces], smooth),
         voxel=voxel_mm,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
@@ -82,20 +82,32 @@ class Attempt:
         Number of remeshing rounds, 2 or more; the cavity is cut before the last one.
     thin_share : float
         Parts thinner than this fraction of an element edge are left out.
+    detail_share : float
+        Details smaller than this fraction of an element edge are smoothed away, the edges of the rim among them; volume and
+        distance from the skin are measured against the smooth surface.
     """
 
     smooth_mm: float
     lattice_share: float
     n_rounds: int
     thin_share: float
+    detail_share: float = 0.0
 
-    def keeping(self, share: float) -> Attempt:
-        """Return the attempt that keeps parts of a thickness, given as a fraction of an element edge."""
-        return replace(self, lattice_share=min(self.lattice_share, share), thin_share=min(self.thin_share, 0.5 * share))
+    def resolution_mm(self, share: Volume, edge_mm: float) -> np.ndarray:
+        """Return the size of details that are kept along x, y, z (3,) [mm]: at least a voxel."""
+        return np.maximum(share.spacing_mm, self.detail_share * edge_mm)
 
 
 MIN_SMOOTHING = 0.8  # lower limit of the smoothing [voxels]
 ATTEMPTS = (Attempt(0.0, 1.0, 2, 2 / 3), Attempt(1.3, 0.7, 2, 1.0), Attempt(0.0, 0.5, 3, 2 / 3))
+# with a trunk, whose thin layer the lattice must not tear, and whose rim takes no fine elements
+TRUNK_ATTEMPTS = (
+    Attempt(0.0, 0.4, 3, 0.25, 1 / 4),
+    Attempt(0.0, 0.5, 2, 0.25, 1 / 6),
+    Attempt(0.0, 0.5, 2, 0.25, 1 / 4),
+    Attempt(0.0, 0.4, 3, 0.25, 1 / 6),
+    Attempt(0.0, 0.45, 4, 0.25, 1 / 5),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,17 +123,12 @@ class _Borders:
     is_rim_loose: bool
     edge_mm: float
 
-    def resolution_mm(self, share: Volume) -> np.ndarray:
-        """Return the size of details that are kept along x, y, z (3,) [mm]: a voxel, and around a trunk a share of an element."""
-        voxel = np.asarray(share.spacing_mm)
-        return np.maximum(voxel, MIN_VOXEL_SHARE * self.edge_mm) if self.is_rim_loose else voxel
-
     def clear_of(self, rim: np.ndarray) -> Function:
-        """Return a function of points (n, 3) [mm]: 0 up to an element from the faces (k, 3, 3) of a loose rim, 1 from two on."""
+        """Return a function that is true at points (n, 3) [mm] farther than an element from faces (k, 3, 3) of a loose rim."""
         if not self.is_rim_loose or not len(rim):
-            return lambda points: np.ones(len(points))
+            return lambda points: np.ones(len(points), bool)
         tree = cKDTree(rim.reshape(-1, 3))
-        return lambda points: np.clip(tree.query(points)[0] / self.edge_mm - 1.0, 0.0, 1.0)
+        return lambda points: tree.query(points)[0] > self.edge_mm
 
     def fitted(self, nodes: np.ndarray, faces: np.ndarray) -> np.ndarray:
         """Return those of the outer faces (k, 3) that must lie on the surface closely: all, or those that touch no loose rim."""
@@ -152,7 +159,7 @@ def mesh_body(
     *,
     tissue: Volume | None = None,
     wall_mm: np.ndarray | None = None,
-    thinnest_mm: float = np.inf,
+    has_trunk: bool = False,
     cavity: Function | None = None,
     cavity_edge_mm: float = 1.5,
 ) -> BodyMesh:
@@ -172,8 +179,9 @@ def mesh_body(
         Tissue fraction 0 .. 1 of each voxel, on the grid of the labels.
     wall_mm : (nz, nx) array, optional
         y of the chest wall [mm], NaN where it is unknown; by default from the labels (`wall_heights`).
-    thinnest_mm : float
-        Thickness of the thinnest parts that must not be left out or torn, such as a trunk [mm].
+    has_trunk : bool
+        Whether the body has a thin trunk around the breast. Then the lattice is finer than its thickness, the edges of its rim
+        may be rounded, and details smaller than a share of an element are smoothed away (`TRUNK_ATTEMPTS`).
     cavity : callable, optional
         Signed distance [mm] to the border of the cavity at points (n, 3) [mm], negative inside.
 
@@ -185,8 +193,8 @@ def mesh_body(
     """
     edges = _checked(edge_mm, cavity_edge_mm, cavity)
     wall_mm = wall_heights(labels) if wall_mm is None else wall_mm
-    borders, failed = _Borders(border_at(labels, wall_mm), labels, wall_mm, np.isfinite(thinnest_mm), edge_mm), []
-    for attempt in (attempt.keeping(thinnest_mm / edge_mm) for attempt in ATTEMPTS):
+    borders, failed = _Borders(border_at(labels, wall_mm), labels, wall_mm, has_trunk, edge_mm), []
+    for attempt in TRUNK_ATTEMPTS if has_trunk else ATTEMPTS:
         thin = attempt.thin_share * edge_mm
         body = segmented_body(labels, tissue, finest_mm=MIN_VOXEL_SHARE * edge_mm, thin_mm=thin)
         try:
@@ -215,8 +223,9 @@ def _attempt(
 ) -> BodyMesh:
     """Mesh the body with the settings of one attempt and measure the quality of the mesh."""
     share = segmented.share
-    surface = isosurface(share, np.maximum(attempt.smooth_mm, MIN_SMOOTHING * borders.resolution_mm(share)))
-    hausdorff = FINENESS * max(borders.resolution_mm(share))
+    detail = attempt.resolution_mm(share, edges.far)
+    surface = isosurface(share, np.maximum(attempt.smooth_mm, MIN_SMOOTHING * detail))
+    hausdorff = FINENESS * max(detail)
     at_rim = LOOSENESS * edges.far if borders.is_rim_loose else hausdorff
     body = _cut_lattice(surface, edges.far, attempt.lattice_share * edges.far)
     body = remesh(body, edges.at(body.nodes), at_rim)
@@ -229,7 +238,7 @@ def _attempt(
         body = _fitted_skin(body, surface, by_face)
         if edges.cavity is not None:
             body = fitted(body, boundary(body.tetrahedra[body.refs == INSIDE]), edges.cavity, by_face=by_face)
-    return _measured(body, surface, segmented, borders, notes)
+    return _measured(body, surface, segmented, borders, float(max(detail)), notes)
 
 
 def _cut_lattice(surface: Isosurface, edge: float, lattice_edge: float) -> Solid:
@@ -301,7 +310,12 @@ def _level_in(body: Solid, cavity: Function) -> np.ndarray:
 
 
 def _measured(
-    body: Solid, surface: Isosurface, segmented: SegmentedBody, borders: _Borders, notes: tuple[str, ...]
+    body: Solid,
+    surface: Isosurface,
+    segmented: SegmentedBody,
+    borders: _Borders,
+    detail_mm: float,
+    notes: tuple[str, ...],
 ) -> BodyMesh:
     """Return the finished mesh, with marked outer faces and measured quality."""
     faces = boundary(body.tetrahedra)
@@ -317,17 +331,20 @@ def _measured(
             "labels: the breast touches neither chest wall (5) nor the image's edge, so that nothing supports it."
         )
     clear = borders.clear_of(body.nodes[faces[(marker == Border.RIM) | (marker == Border.CUT)]])
-    skin = (marker == Border.SKIN) & (clear(middles) > 0)
-    centres = body.nodes[body.tetrahedra].mean(axis=1)
+    skin = (marker == Border.SKIN) & clear(middles)
     measures = quality(
         body.nodes,
         body.tetrahedra,
         faces,
         skin,
-        (isosurface(segmented.share), surface),
-        lambda points: on_skin(points) & (clear(points) > 0),
-        (clear(centres), segmented.weighted_volume(clear)),
-        float(max(borders.resolution_mm(surface.share))),
+        (surface if borders.is_rim_loose else isosurface(segmented.share), surface),
+        lambda points: on_skin(points) & clear(points),
+        surface.volume if borders.is_rim_loose else segmented.volume,
+        detail_mm,
     )
     region = np.where(body.refs == INSIDE, Region.CAVITY, Region.TISSUE).astype(np.uint8)
-    return BodyMesh(body.nodes, body.tetrahedra, region, faces, marker, measures, notes)
+    lost = 1 - measures.body_volume / segmented.volume
+    rounded = (f"details below {detail_mm:.1f} mm smoothed, which takes {100 * lost:.1f} % of the volume",)
+    return BodyMesh(
+        body.nodes, body.tetrahedra, region, faces, marker, measures, notes + (rounded if borders.is_rim_loose else ())
+    )

@@ -13,6 +13,7 @@ from ..geometry.volume import Volume
 LEAST_MM = 6.0  # least thickness of the trunk; where the wall lies nearer to the skin, it is moved back
 STEEPEST = 1.5  # slope of the wall, dy over dx and dz, at which the trunk ends: there the side of the body begins
 EVEN_MM = 4.0  # standard deviation of the smoothing of skin and wall whose slopes and places are compared
+JOINT_MM = 12.0  # reach of the smoothing of steps of the wall
 SPUR_MM = 5.0  # parts of the body thinner than this are left out where there is a trunk
 RIM_VOXELS = 2.0  # standard deviation of the smoothing of the trunk's outline [voxels]
 NARROW_MM = 8.0  # parts of the trunk narrower than this are left out
@@ -138,7 +139,16 @@ def moved_back(
         notes.append(
             f"there the wall that was found crosses the skin, most at {at}: if that matters, give image.chest_wall"
         )
-    return np.maximum(wall_mm, least), tuple(notes)
+    return _joined(np.maximum(wall_mm, least), domain, voxel), tuple(notes)
+
+
+def _joined(wall_mm: np.ndarray, domain: np.ndarray, voxel_mm: tuple[float, float]) -> np.ndarray:
+    """Return the wall (nz, nx) [mm] without steps steeper than `STEEPEST`, at which breast and trunk would part."""
+    n = [max(round(JOINT_MM / step), 1) for step in voxel_mm]
+    dz, dx = (step * np.arange(-k, k + 1) for k, step in zip(n, voxel_mm, strict=True))
+    cone = -STEEPEST * np.hypot(dz[:, None], dx)
+    foremost = np.where(domain, wall_mm, wall_mm.min())
+    return np.where(domain, np.maximum(wall_mm, ndi.grey_dilation(foremost, structure=cone)), wall_mm)
 
 
 def _skin_before(wall_mm: np.ndarray, body: np.ndarray, grid: Volume) -> tuple[np.ndarray, np.ndarray]:

@@ -13,7 +13,7 @@ from ..geometry.volume import Volume
 from .contour import evolve, heaviside
 
 THORAX_RADIUS_MM = 180.0  # radius of curvature of the prior across the body
-LEVEL_MM, ALONG_MM = 1.0, 20.0  # the skin stops receding where it recedes by less than this over that distance
+LEVEL_MM, ALONG_MM = 3.0, 20.0  # the skin stops receding where it recedes by less than this over that distance
 BEHIND_SKIN_MM = 12.0  # prior depth of the wall behind the skin at the midline
 WINDOW_MM = (-22.0, 42.0)  # search range relative to the prior
 REACH_MM = 7.0  # depth of the tissue that is compared on either side of the wall
@@ -44,8 +44,9 @@ def breast_rows(skin_mm: np.ndarray) -> np.ndarray:
 def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> tuple[float, bool]:
     """Return x of the midline, and whether the image shows both breasts: y of the skin (nz, nx) [mm] -> x [mm], bool.
 
-    The skin between two breasts is most posterior at the midline. With only one breast in the image, the midline is 20 mm medial
-    of the point at which the skin stops receding.
+    The skin between two breasts is most posterior at the midline. With only one breast in the image, the midline is where the
+    trunk beside it is foremost, or, if the image ends before that can be told, 20 mm medial of the point at which the skin stops
+    receding.
     """
     profile = ndi.gaussian_filter1d(np.nanmedian(skin_mm, axis=0), 3)
     here = sign * (x_mm - 0.5 * (x_mm[0] + x_mm[-1]))
@@ -57,9 +58,30 @@ def find_midline(skin_mm: np.ndarray, x_mm: np.ndarray, sign: float) -> tuple[fl
         return float(x_mm[deepest]), True
     peak = int(np.argmin(profile))
     medial = np.arange(peak, -1, -1) if sign > 0 else np.arange(peak, len(x_mm))
-    medial = medial[: _until_level(profile[medial], abs(x_mm[1] - x_mm[0]))]
+    medial, beyond = np.split(medial, [_until_level(profile[medial], abs(x_mm[1] - x_mm[0]))])
+    if (
+        len(beyond) and profile[beyond[-1]] > profile[medial[-1]] + LEVEL_MM
+    ):  # the trunk recedes on both sides of the midline
+        return float(x_mm[_foremost(profile, medial, beyond)]), False
     flat = x_mm[medial[np.argmax(profile[medial] > profile[medial].max() - 3.0)]]
     return float(np.clip(flat - sign * 20.0, x_mm[0], x_mm[-1])), False
+
+
+def _foremost(profile: np.ndarray, medial: np.ndarray, beyond: np.ndarray) -> int:
+    """Return the index where the trunk beside a breast is foremost.
+
+    Parameters
+    ----------
+    profile : (n,) array
+        y of the skin [mm].
+    medial, beyond : (m,), (k,) int array
+        Indices from the breast's apex to where the skin stops receding, and on to the image's edge.
+    """
+    trunk = np.concatenate([medial[np.argmax(profile[medial]) :], beyond])
+    if (apex := int(np.argmin(profile[trunk]))) > 0:
+        return int(trunk[apex])
+    foot = medial[profile[medial] > profile[medial[-1]] - LEVEL_MM]  # the breast ends at the midline
+    return int(foot[0])
 
 
 def _until_level(profile: np.ndarray, step_mm: float) -> int:

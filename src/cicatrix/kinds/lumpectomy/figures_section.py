@@ -19,6 +19,12 @@ from .section import SectionModel
 BEFORE, HEALED, WOUND = "#000000", "#d62728", "#e69f00"
 TISSUE_COLOURS = {Label.FAT: "#f0e442", Label.GLAND: "#0072b2", Label.SKIN: "#cc79a7", Label.TUMOUR: "#d55e00"}
 
+BORDERS = {  # of a section: colour and words
+    "skin": (TISSUE_COLOURS[Label.SKIN], "skin"),
+    "wall": ("#009e73", "chest wall (fixed)"),
+    "rim": ("#000000", "where the body ends (fixed)"),
+}
+
 
 def section_figure(model: SectionModel, anatomy: Anatomy) -> Figure:
     """Draw the section as imaged: image, tissue classes, mesh and cavity."""
@@ -43,10 +49,11 @@ def section_figure(model: SectionModel, anatomy: Anatomy) -> Figure:
     mesh = model.mesh
     axes[1].triplot(*mesh.p, mesh.t.T, color="#56b4e9", linewidth=0.25)
     axes[1].triplot(*mesh.p, mesh.t.T[model.cavity], color=WOUND, linewidth=0.4)
-    for name, colour in (("skin", TISSUE_COLOURS[Label.SKIN]), ("wall", "#009e73")):
-        ends = mesh.p[:, mesh.facets[:, mesh.boundaries[name]]]
-        axes[1].plot(ends[0], ends[1], color=colour, linewidth=1.5)
-        axes[1].plot([], [], color=colour, label={"skin": "skin", "wall": "chest wall (fixed)"}[name])
+    for name, (colour, words) in BORDERS.items():
+        facets = mesh.boundaries[name]
+        if len(facets):
+            axes[1].plot(*mesh.p[:, mesh.facets[:, facets]], color=colour, linewidth=1.5)
+            axes[1].plot([], [], color=colour, label=words)
     axes[1].plot([], [], color=WOUND, label="resection")
     axes[1].legend(loc="lower right", fontsize=8)
     axes[1].set_title(f"mesh, {mesh.nelements} triangles")

@@ -11,7 +11,7 @@ import skfem
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from ...core.errors import InputError
-from ...geometry.borders import Border, BorderAt, extended, height_at
+from ...geometry.borders import Border, BorderAt, height_at, wall_beside
 from ...geometry.labels import Label
 from ...geometry.meshing import component_at, interpolant, label_borders, mesh_section, signed_distance
 from ...geometry.section import Raster, Section
@@ -224,19 +224,18 @@ def _cavity(body: np.ndarray, raster: Raster, centre: np.ndarray, radius: float,
 def _border(anatomy: Anatomy, section: Section, raster: Raster) -> BorderAt:
     """Return a function of points just outside the body: on the skin nearer to air than to chest, else on the wall or the rim.
 
-    Without chest in the image the body ends at the image's edge.
+    Without chest in the image, or with a trunk, the body is held where the image ends; with a trunk that is never the wall.
     """
     labels = anatomy.domain
     values = labels.nearest(section.to_patient(raster.points))
     is_cut = not (labels.values == Label.CHEST).any()
-    chest = np.pad(values == Label.CHEST, 1, constant_values=is_cut)
+    chest = np.pad(values == Label.CHEST, 1, constant_values=is_cut or anatomy.has_trunk)
     air = np.pad(values == Label.AIR, 1, constant_values=False)
     if not chest.any():
         raise InputError("The section touches no chest wall: choose another image.plane or image.slice_mm.")
     around = section.to_patient(raster.widened().points)
-    behind = around[..., 1] > height_at(labels, extended(anatomy.wall_mm), around) - (
-        raster.pixel_mm if is_cut else 0.0
-    )
+    before = raster.pixel_mm if is_cut else 0.5 * raster.pixel_mm  # pixels on the wall are behind it
+    behind = around[..., 1] > height_at(labels, wall_beside(labels, anatomy.wall_mm), around) - before
     nearer_chest = _nearer(chest, air)
     nearer_wall = _nearer(chest & behind, chest & ~behind)
 

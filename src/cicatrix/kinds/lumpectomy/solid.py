@@ -17,7 +17,6 @@ from ...geometry.meshing3d import MIN_SMOOTHING, BodyMesh, Region, mesh_body
 from ...geometry.surface import Surface
 from ...geometry.tetrahedra import with_middles
 from ...geometry.transfer import QUARTERS
-from ...image.trunk import LEAST_MM as TRUNK_MM
 from ...mechanics.space import SolidSpace
 from ...outcome.change import ShapeChange
 from ...outcome.surface import compare_surfaces
@@ -141,7 +140,7 @@ def solid_model(case: LumpectomyCase, anatomy: Anatomy) -> SolidModel:
     """
     centre, radius = resection_of(case, anatomy), case.resection.radius_mm
     edge = case.mesh.edge_mm
-    thin = min(2 / 3 * edge, _thinnest_mm(anatomy))
+    thin = (0.25 if anatomy.has_trunk else 2 / 3) * edge
     body = segmented_body(anatomy.domain, anatomy.body, finest_mm=edge / 6, thin_mm=thin).share
     surface = isosurface(body, MIN_SMOOTHING * np.asarray(body.spacing_mm))
     return _meshed(case, anatomy, _cavity(surface, centre, radius), centre, radius)
@@ -158,11 +157,6 @@ def intact_solid(case: LumpectomyCase, anatomy: Anatomy) -> SolidModel:
     return _meshed(case, anatomy, None, np.full(3, np.nan), 0.0)
 
 
-def _thinnest_mm(anatomy: Anatomy) -> float:
-    """Return the thickness of the thinnest parts that a mesh must keep [mm]."""
-    return TRUNK_MM if anatomy.has_trunk else np.inf
-
-
 def _meshed(
     case: LumpectomyCase, anatomy: Anatomy, cavity: Function | None, centre: np.ndarray, radius: float
 ) -> SolidModel:
@@ -171,7 +165,7 @@ def _meshed(
         case.mesh.edge_mm,
         tissue=anatomy.body,
         wall_mm=anatomy.wall_mm,
-        thinnest_mm=_thinnest_mm(anatomy),
+        has_trunk=anatomy.has_trunk,
         cavity=cavity,
         cavity_edge_mm=case.mesh.cavity_edge_mm,
     )
