@@ -12,6 +12,7 @@ from cicatrix.materials.neo_hookean import NeoHookean, moduli_from_young
 from cicatrix.mechanics.elements import meshed_wrinkling_strain
 from cicatrix.mechanics.equilibrium import Equilibrium
 from cicatrix.mechanics.problem import Problem
+from cicatrix.mechanics.unloading import Unloading
 from cicatrix.numerics.linear import LinearSolver
 from cicatrix.numerics.newton import NewtonReport, newton
 
@@ -48,6 +49,18 @@ def test_unloaded_then_loaded_is_the_image(block, gravity, softness):
     assert np.abs(X - image).max() > 0.3
     back, _ = solver.loaded(block, X, softness * gravity)
     np.testing.assert_allclose(back, image, rtol=0, atol=1e-8)
+
+
+def test_ways_of_unloading_agree(block):
+    """The load ramp, a stiffer body that is softened, and a start from a softer body find the same unloaded shape."""
+    image, solver = block.discretization.space.positions, Equilibrium(1e-10)
+    X, report = solver.unloaded(block, image, PRONE)
+    ways = Unloading(block, image, PRONE, solver._newton, NewtonReport())
+    np.testing.assert_allclose(ways.by_softening(), X, rtol=0, atol=1e-8)
+    softer, _ = solver.unloaded(block, image, 1.5 * PRONE)
+    again, nearby = solver.unloaded(block, image, PRONE, softer)
+    np.testing.assert_allclose(again, X, rtol=0, atol=1e-8)
+    assert nearby.load_steps == 0 < report.load_steps  # without a ramp
 
 
 def test_newton_is_quadratic(block):
