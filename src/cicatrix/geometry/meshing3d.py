@@ -110,6 +110,11 @@ TRUNK_ATTEMPTS = (
 )
 
 
+def attempts(has_trunk: bool) -> tuple[Attempt, ...]:
+    """Return the attempts to mesh a body with or without a trunk, in order."""
+    return TRUNK_ATTEMPTS if has_trunk else ATTEMPTS
+
+
 @dataclass(frozen=True, eq=False)
 class _Borders:
     """What lies outside of the body: ``inside`` the image by a function of points, and at its edge by the labels and the wall.
@@ -194,7 +199,7 @@ def mesh_body(
     edges = _checked(edge_mm, cavity_edge_mm, cavity)
     wall_mm = wall_heights(labels) if wall_mm is None else wall_mm
     borders, failed = _Borders(border_at(labels, wall_mm), labels, wall_mm, has_trunk, edge_mm), []
-    for attempt in TRUNK_ATTEMPTS if has_trunk else ATTEMPTS:
+    for attempt in attempts(has_trunk):
         thin = attempt.thin_share * edge_mm
         body = segmented_body(labels, tissue, finest_mm=MIN_VOXEL_SHARE * edge_mm, thin_mm=thin)
         try:

@@ -110,9 +110,8 @@ def segment(
     labels = _labels(probabilities, body, breast)
     doubt = judge(flat.with_values(labels), flat, probabilities[0], chest, side)
     _add_trunk(probabilities, body, beside, flat.spacing_mm)
-    share = probabilities.sum(axis=0)
-    if beside.any():
-        share = cut_share(breast | beside, skin_share, chest.wall_mm, flat)
+    has_trunk = beside.any()
+    share = cut_share(breast | beside, skin_share, chest.wall_mm, flat) if has_trunk else probabilities.sum(axis=0)
     how = f"{weighting}, {side} breast, {position}; N4 bias field, skin at its edge to air"
     report("done", 1.0)
     notes = (how, *chest.notes, *_trunk_notes(trunk, chest, breast, beside, side, flat), mass, doubt)

@@ -70,7 +70,7 @@ class Anatomy:
         """Return the share of the breast in the body, from labels and shares of the body at points (...) [1]; 1 without trunk."""
         return float(body[np.isin(breast, TISSUES)].sum() / body.sum()) if self.has_trunk else 1.0
 
-    @property
+    @cached_property
     def _in_trunk(self) -> np.ndarray:
         return (self.labels.values == Label.CHEST) & (self.probabilities.values.sum(axis=0) > 0.5)
 

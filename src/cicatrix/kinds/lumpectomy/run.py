@@ -220,8 +220,9 @@ class LumpectomyRun(Simulation[BreastState]):
 
     @cached_property
     def _skin(self) -> SkinContact:
-        discretization = self.model.intact.discretization
-        return SkinContact(discretization.space, discretization.skin_facets)
+        """The body's contact; one for the search of crossings alone where the case switches contact off."""
+        body = self.model.intact
+        return body.contact or SkinContact(body.discretization.space, body.discretization.skin_facets)
 
     def _note_solve(self, what: str, report: NewtonReport) -> None:
         """Add a note if an equilibrium solve, described by ``what``, did not converge in its first Newton run."""

@@ -53,11 +53,6 @@ class SectionModel(BreastModel):
     mesh: skfem.MeshTri
 
     @property
-    def wall_facets(self) -> np.ndarray:
-        """Edges of the mesh on the chest wall (n,)."""
-        return self.mesh.boundaries["wall"]
-
-    @property
     def slice_mm(self) -> float:
         """Position of the section along its normal, LPS [mm]."""
         return float(self.section.position_mm)

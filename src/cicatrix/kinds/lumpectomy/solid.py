@@ -13,7 +13,7 @@ from ...geometry.borders import Border
 from ...geometry.isosurface import LEVEL, Isosurface, isosurface, segmented_body
 from ...geometry.labels import Label
 from ...geometry.meshing import Function
-from ...geometry.meshing3d import MIN_SMOOTHING, BodyMesh, Region, mesh_body
+from ...geometry.meshing3d import MIN_SMOOTHING, BodyMesh, Region, attempts, mesh_body
 from ...geometry.surface import Surface
 from ...geometry.tetrahedra import with_middles
 from ...geometry.transfer import QUARTERS
@@ -53,11 +53,6 @@ class SolidModel(BreastModel):
 
     corners: np.ndarray
     border: np.ndarray
-
-    @property
-    def wall_facets(self) -> np.ndarray:
-        """Faces of the boundary on the chest wall (n,)."""
-        return np.flatnonzero(self.border == Border.WALL)
 
     @property
     def space(self) -> SolidSpace:
@@ -140,7 +135,7 @@ def solid_model(case: LumpectomyCase, anatomy: Anatomy) -> SolidModel:
     """
     centre, radius = resection_of(case, anatomy), case.resection.radius_mm
     edge = case.mesh.edge_mm
-    thin = (0.25 if anatomy.has_trunk else 2 / 3) * edge
+    thin = attempts(anatomy.has_trunk)[0].thin_share * edge
     body = segmented_body(anatomy.domain, anatomy.body, finest_mm=edge / 6, thin_mm=thin).share
     surface = isosurface(body, MIN_SMOOTHING * np.asarray(body.spacing_mm))
     return _meshed(case, anatomy, _cavity(surface, centre, radius), centre, radius)
