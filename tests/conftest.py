@@ -83,6 +83,29 @@ def slope():
     return make
 
 
+@pytest.fixture(scope="session")
+def rates_along(slope):
+    """Return a body's matrix times a random direction of its free dofs, and the difference of its residual along it.
+
+    (body, X, x, gravity, unknown, rng, in_plane) -> two (n_free,) arrays; ``unknown`` is "loaded" or "unloaded".
+    """
+
+    def make(body, X, x, gravity, unknown, rng, *, in_plane=False):
+        J, free = body.volume_ratio(X, x), body.discretization.solved(in_plane)[0]
+        if unknown == "loaded":
+            matrix, _ = body.linearised(X, x, J, in_plane=in_plane)
+        else:
+            matrix, _ = body.linearised_reference(X, x, J, gravity, in_plane=in_plane)
+        direction = np.zeros(x.size)
+        direction[free] = rng.standard_normal(free.size)
+        d = direction.reshape(x.shape)
+        dX, dx = (0, d) if unknown == "loaded" else (d, 0)
+        difference = slope(lambda t: body.residual(X + t * dX, x + t * dx, gravity).ravel()[free], 1e-4)
+        return matrix @ direction[free], difference
+
+    return make
+
+
 @pytest.fixture
 def case_file(tmp_path):
     """Write a case file to a folder of its own: text -> path."""
